@@ -80,6 +80,7 @@ class Workbench:
         self._listeners: list[Listener] = []
         self._condition = threading.Condition()
         self._requested = 0
+        self._analysed = 0
         self._ended = False
         self._thread: threading.Thread | None = None
 
@@ -87,6 +88,11 @@ class Workbench:
     def lens(self) -> Lens:
         """Present lens."""
         return self.editing.lens
+
+    @property
+    def is_analysed(self) -> bool:
+        """True if the analysis, with the accuracy of a moving value at least, is of the present state."""
+        return self._analysed == self._requested
 
     @property
     def is_saved(self) -> bool:
@@ -217,6 +223,8 @@ class Workbench:
         request = self._with_quality(AnalysisRequest(self.lens, self.what_if, None, self.patch_fraction))
         for stage, names in STAGES:
             self._publish(stage(request, settled=True), names)
+        self._analysed = self._requested
+        self.notify()
         return self.analysis
 
     def _work(self) -> None:
@@ -247,6 +255,8 @@ class Workbench:
         request = self._with_quality(request)
         for stage, names in others:
             self._publish(stage(request, settled=False), names)
+        self._analysed = number
+        self.notify()
         if self._is_idle(number):
             for stage, names in STAGES:
                 self._publish(stage(request, settled=True), names)

@@ -10,6 +10,10 @@ export function render({ model, el }) {
   };
   make("span", "mark").textContent = "transferlens";
   const title = make("span", "title"), file = make("span", "file");
+  const waiting = make("span", "file");
+  waiting.textContent = "computing…";
+  waiting.hidden = true;
+  waiting.setAttribute("role", "status");
   const message = make("span", "message");
   message.setAttribute("role", "status");
   const button = (label, hint, act) => {
@@ -50,6 +54,14 @@ export function render({ model, el }) {
   };
   const first_design = model.opened;
   model.on("opened", () => { if (model.opened !== first_design) location.reload(); });
+  // Figures of an earlier state are dimmed if the new ones take long.
+  let dimmed = 0;
+  const pending = () => {
+    clearTimeout(dimmed);
+    if (model.is_analysed) { delete page.dataset.pending; waiting.hidden = true; }
+    else dimmed = setTimeout(() => { page.dataset.pending = ""; waiting.hidden = false; }, 600);
+  };
+  model.on("is_analysed", pending);
   for (const key of ["title", "file", "is_saved", "can_undo", "can_redo", "undo", "message", "is_bad"])
     model.on(key, update);
 
@@ -80,8 +92,19 @@ export function render({ model, el }) {
       if (banner && gone) { banner.hidden = false; document.getElementById("page").inert = true; }
     }
   };
-  if (banner) { look(); setInterval(look, 1000); }
+  // The library gives no name to the pictures of charts.
+  const nameCharts = () => {
+    for (const one of window.Bokeh?.documents?.[0]?.all_models || []) {
+      const view = one.type === "Figure" && one.name ? Bokeh.index.find_one(one) : null;
+      view?.el.setAttribute("role", "img");
+      view?.el.setAttribute("aria-label", one.name);
+      // Charts take no keys.
+      if (view?.canvas_view?.events_el) view.canvas_view.events_el.tabIndex = -1;
+    }
+  };
+  if (banner) { look(); setInterval(() => { look(); nameCharts(); }, 1000); }
   if (banner) dress(page.dataset.theme || "light");
   update();
+  pending();
   return root;
 }

@@ -39,6 +39,7 @@ class Bar(PickerPart):
     message = param.String(default="", doc="Result of the last action.")
     is_bad = param.Boolean(default=False, doc="Whether the last action failed.")
 
+    is_analysed = param.Boolean(default=True, doc="Whether the figures are of the present lens.")
     opened = param.Integer(default=0, doc="Number of the opened design; a page of another one is reloaded.")
 
     _esm = PICKER_SCRIPT + (HERE / "bar.js").read_text(encoding="utf-8")
@@ -96,6 +97,7 @@ def _bar(bench: Workbench, main: pn.Column) -> Bar:
             can_redo=bool(editing.redo_steps),
             undo=visible(editing.now.description),
             opened=bench.opened_designs,
+            is_analysed=bench.is_analysed,
         )
 
     follow(bench, bar, update)
@@ -167,8 +169,10 @@ def _legend(bench: Workbench) -> pn.pane.HTML:
 
     def update() -> None:
         names = "".join(
-            f'<i style="color:{color}">●</i><small style="padding:0">{text(name)}</small>'
-            for name, color in zip(field_heights(bench.lens), FIELDS["light"], strict=True)
+            f'<i style="color:var(--field-{k}, {color})">●</i><small style="padding:0">{text(name)}</small>'
+            for k, (name, color) in enumerate(
+                zip(field_heights(bench.lens), FIELDS["light"], strict=True), start=1
+            )
         )
         pane.object = (
             f'<div class="head">Layout <small>to scale; rays from field heights</small>{names}</div>'

@@ -68,4 +68,5 @@ class FileChoice(PickerPart):
             if on_action is not None and "action" in message and message.get("path"):
                 on_action(str(message["action"]), Path(str(message["path"])))
 
+        params = {"margin": (5, 10)} | params
         super().__init__(kind, received, actions=[list(one) for one in actions], **params)

@@ -96,7 +96,7 @@ class _Explore(JobPane):
         bind(bench, self.count, lambda: session.lenses, partial(setattr, session, "lenses"))
         self.source = ColumnDataSource({"x": [], "y": []})
         self.here = ColumnDataSource({"x": [], "y": []})
-        self.plot = chart(height=280, x="across", y="upward")
+        self.plot = chart("lenses of the exploration", height=280, x="across", y="upward")
         self.plot.add_tools("tap")
         self.dots = self.plot.scatter(
             "x", "y", source=self.source, size=9, line_color=None, legend_label="found lenses: click to load"
@@ -173,17 +173,19 @@ class _Explore(JobPane):
         if job.state == "failed":
             self.show_message(message(text(job.result), is_bad=True))
         else:
-            count = len(self.texts)
-            self.show_message(
-                message(f"{count} lenses, {text(job.state)}. Click one to load it; undo takes it back.")
-            )
+            words = f"{len(self.texts)} lenses, {text(job.state)}. Click one to load it; undo takes it back."
+            for name, column in zip(run.over, ("x", "y"), strict=True):
+                found = self.source.data[column]
+                if len(found) > 1 and max(found) - min(found) < 1e-6 * max(map(abs, found)):
+                    words += f" All have the same {text(AXES[name])}: tick more values under Surfaces."
+            self.show_message(message(words))
 
 
 _EMPTY = explanation(
     "See what one property costs in another",
     "The exploration changes the values that are ticked under Optimize or Surfaces, within the "
     "constraints there, and finds lenses that no other lens beats in both properties.",
-    "Example: thickness across, spread upward, 12 lenses. After some seconds the chart shows how much "
-    "spread each millimetre of glass saves. The star is the present lens, and a click on a dot loads "
-    "that lens.",
+    "Example: tick the thickness of surface 1, and explore thickness across, spread upward, 12 lenses. "
+    "After some seconds the chart shows how much spread each millimetre of glass saves. The star is the "
+    "present lens, and a click on a dot loads that lens.",
 )

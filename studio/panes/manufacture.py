@@ -22,7 +22,7 @@ def export(lens: Workbench | Lens) -> pn.Column:
     jobs = bench.session.exports
     kind = pn.widgets.Select(name="what", options=list(KINDS), width=260)
     file = FileChoice("exports", label="file", value=_name(bench, kind.value), mode="save", width=420)
-    replace = pn.widgets.Checkbox(name="replace an existing file", align="end")
+    replace = pn.widgets.CheckBoxGroup(options=["replace an existing file"], value=[], align="end")
     write = pn.widgets.Button(name="Write", button_type="primary", align="end")
     note = message_pane()
     form = pn.FlexBox(kind, file, replace, write, sizing_mode="stretch_width", margin=(6, 6, 0, 6))
@@ -36,7 +36,7 @@ def export(lens: Workbench | Lens) -> pn.Column:
         except TransferLensError as error:
             note.object = message(text(error), is_bad=True)
             return
-        jobs.append(Job(write_export, (bench.lens, path, quality, replace.value), bench.notify))
+        jobs.append(Job(write_export, (bench.lens, path, quality, bool(replace.value)), bench.notify))
         bench.notify()
 
     def update() -> None:

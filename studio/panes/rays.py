@@ -32,7 +32,7 @@ def layout(lens: Workbench | Lens) -> Guarded:
     from bokeh.models import ColumnDataSource
 
     bench = bench_of(lens)
-    plot = chart(height=270, x="z (mm)", y="y (mm)", match_aspect=True)
+    plot = chart("layout of the lens with rays", height=270, x="z (mm)", y="y (mm)", match_aspect=True)
     box = framed(plot)
     names = ("glass", "rays", "surfaces", "planes", "labels")
     sources = {name: ColumnDataSource({"xs": [], "ys": []}) for name in names}
@@ -83,7 +83,12 @@ def spread(lens: Workbench | Lens) -> Guarded:
 
     bench = bench_of(lens)
     plot = chart(
-        height=190, x="field height (mm)", y="spread (deg)", x_range=Range1d(0, 1), y_range=Range1d(0, 1)
+        "spread against field height",
+        height=190,
+        x="field height (mm)",
+        y="spread (deg)",
+        x_range=Range1d(0, 1),
+        y_range=Range1d(0, 1),
     )
     source = ColumnDataSource({"x": [], "y": []})
     line = plot.line("x", "y", source=source, line_width=2)
@@ -122,7 +127,7 @@ def footprint(lens: Workbench | Lens, plane: int = 0) -> Guarded:
     from bokeh.models import ColumnDataSource
 
     bench = bench_of(lens)
-    plot = chart(height=190, x="x (mm)", y="y (mm)", match_aspect=True)
+    plot = chart(f"spots on sensor plane H{plane + 1}", height=190, x="x (mm)", y="y (mm)", match_aspect=True)
     box = framed(plot)
     spots, sensor, reach = (ColumnDataSource({"x": [], "y": []}) for _ in range(3))
     spots.data = {"x": [], "y": [], "color": [], "field": []}
@@ -220,7 +225,9 @@ def layouts_over_each_other(height: int = 210) -> tuple[ThemedChart, Any]:
     """Return a chart of two lenses, and the function that draws them: a start, and a lens found from it."""
     from bokeh.models import ColumnDataSource
 
-    plot = chart(height=height, x="z (mm)", y="y (mm)", match_aspect=True)
+    plot = chart(
+        "layout of the found lens over the start", height=height, x="z (mm)", y="y (mm)", match_aspect=True
+    )
     box = framed(plot)
     start, found, rays = (ColumnDataSource({"xs": [], "ys": []}) for _ in range(3))
     glass = plot.patches("xs", "ys", source=found, line_color=None, fill_alpha=0.6, legend_label="found")

@@ -18,7 +18,7 @@ from studio.model.editing import lens_from
 from studio.model.jobs import Job
 from studio.model.searches import CONSTRAINTS, GOALS, SearchSummary, run_search, variables_of
 from studio.model.session import SearchRun, Session
-from studio.panes.common import JobPane, bench_of, bind, explanation, follow, message, text
+from studio.panes.common import JobPane, bench_of, bind, explanation, follow, message, message_pane, text
 from studio.panes.comparison import comparison
 from studio.panes.rays import layouts_over_each_other
 from studio.panes.themes import Theme, ThemedChart, chart, hover
@@ -71,15 +71,17 @@ class _Optimize(JobPane):
             pn.pane.HTML(head.format("Constraints"), margin=0),
             pn.FlexBox(*self.limits, sizing_mode="stretch_width"),
             pn.Row(self.run, self.cancel),
-            width=330,
+            width=350,
             margin=(0, 0, 10, 0),
         )
+        self.table = message_pane()
         self.choice = pn.Row(self.accept, self.discard, visible=False)
         self.pictures = pn.Column(self.progress, sizing_mode="stretch_width", margin=0, visible=False)
         found = pn.Column(
             self.message,
             self.choice,
             self.pictures,
+            self.table,
             min_width=300,
             sizing_mode="stretch_width",
             styles={"min-width": "0", "flex": "1 1 300px"},
@@ -140,6 +142,7 @@ class _Optimize(JobPane):
         is_found = job is not None and job.state == "done"
         if self.choice.visible is not is_found:
             self.choice.visible = is_found
+            self.table.object = ""
         if job is None:
             self.pictures.visible = False
             self.show_message(_EMPTY)
@@ -168,8 +171,9 @@ class _Optimize(JobPane):
         sentences += "".join(f"<p>binding: {text(one)}</p>" for one in found.binding)
         self.show_message(
             f'<div class="text-block"><p class="verdict {kind}">{words}</p><p>{text(found.summary)}</p>'
-            f"{sentences}</div>" + comparison(["start", "found"], [start, lens])
+            f"{sentences}</div>"
         )
+        self.table.object = comparison(["start", "found"], [start, lens])
         try:
             self._draw_layouts((start, lens))
         except TransferLensError as error:
@@ -189,7 +193,7 @@ _EMPTY = explanation(
 
 def _limit(bench: Workbench, session: Session, key: str, label: str, unit: str) -> pn.widgets.TextInput:
     widget = pn.widgets.TextInput(
-        name=f"{label}{f' ({unit})' if unit else ''}", placeholder="no limit", width=140
+        name=f"{label}{f' ({unit})' if unit else ''}", placeholder="no limit", width=155, margin=(5, 5, 5, 10)
     )
     bind(
         bench, widget, lambda: session.limits.get(key, ""), lambda value: session.limits.update({key: value})
@@ -201,7 +205,7 @@ def _progress_chart() -> tuple[ThemedChart, Any]:
     """Return a chart of the goal against time, and the function that draws its improvements."""
     from bokeh.models import ColumnDataSource
 
-    plot = chart(height=170, x="time (s)", y="goal (1: its reference)")
+    plot = chart("goal against time", height=170, x="time (s)", y="goal (1: its reference)")
     met, missed = (ColumnDataSource({"x": [], "y": [], "start": []}) for _ in range(2))
     dots = [
         plot.scatter("x", "y", source=missed, size=6, fill_color=None, legend_label="constraints not met"),

@@ -53,8 +53,10 @@ INTENSITY = {
 """Colours of intensities from dark to bright, to be interpolated."""
 
 
-def chart(*, height: int, x: str = "", y: str = "", **more: Any) -> Any:
+def chart(name: str, *, height: int, x: str = "", y: str = "", **more: Any) -> Any:
     """Return an empty Bokeh figure without colours; :class:`ThemedChart` gives it those of a theme.
+
+    Screen readers know it by its name.
 
     A box drawn with the mouse is enlarged, and a double click shows everything again.
     """
@@ -62,6 +64,7 @@ def chart(*, height: int, x: str = "", y: str = "", **more: Any) -> Any:
     from bokeh.plotting import figure
 
     plot = figure(
+        name=name,
         height=height,
         sizing_mode="stretch_width",
         margin=0,
@@ -168,7 +171,7 @@ class ThemedChart(pn.pane.Bokeh):
                 border_line_color=None,
                 padding=2,
                 spacing=0,
-                glyph_height=12,
+                glyph_height=18,
             )
         for bar in plot.right:
             if hasattr(bar, "color_mapper"):

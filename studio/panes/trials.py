@@ -44,13 +44,8 @@ class _Tolerances(JobPane):
         self.trials, self.running, self.scores = _TrialsChart(self._picked), _YieldChart(), _ScoreChart()
         self.run.on_click(self._start)
         form = pn.FlexBox(self.count, self.run, self.cancel, self.merit, margin=(6, 6, 0, 6))
-        halves = {"flex": "1 1 300px", "min-width": "0"}
         self.charts = pn.Column(
-            pn.FlexBox(
-                pn.Column(self.running.pane, min_width=280, styles=halves),
-                pn.Column(self.scores.pane, min_width=280, styles=halves),
-                sizing_mode="stretch_width",
-            ),
+            pn.Row(self.running.pane, self.scores.pane, sizing_mode="stretch_width", margin=0),
             self.trials.pane,
             sizing_mode="stretch_width",
             visible=False,
@@ -168,7 +163,7 @@ class _TrialsChart:
         self.source = ColumnDataSource({"x": [], "y": [], "color": []})
         self.colors = ("#00796b", "#c62828")
         self.passed = np.zeros(0, bool)
-        self.plot = plot = chart(height=200, x="trial", y="score")
+        self.plot = plot = chart("scores of the trials", height=200, x="trial", y="score")
         plot.add_tools("tap")
         dots = plot.scatter("x", "y", source=self.source, size=5, color="color", line_color=None, alpha=0.8)
         hover(plot, [dots], ("trial", "@x"), ("score", "@y{0.0000}"))
@@ -210,7 +205,13 @@ class _YieldChart:
         from bokeh.models import Band, ColumnDataSource, Range1d
 
         self.source = ColumnDataSource({"x": [], "y": [], "low": [], "high": []})
-        plot = chart(height=190, x="trials", y="yield (%), 95 % interval", y_range=Range1d(0, 100))
+        plot = chart(
+            "yield against the number of trials",
+            height=190,
+            x="trials",
+            y="yield (%), 95 % interval",
+            y_range=Range1d(0, 100),
+        )
         self.band = Band(base="x", lower="low", upper="high", source=self.source, fill_alpha=0.25)
         plot.add_layout(self.band)
         self.line = plot.line("x", "y", source=self.source, line_width=2)
@@ -246,7 +247,12 @@ class _ScoreChart:
         self.bars = ColumnDataSource({"left": [], "right": [], "top": [], "count": []})
         self.steps = ColumnDataSource({"x": [], "y": []})
         self.plot = plot = chart(
-            height=190, x="score", y="lenses (%)", x_range=Range1d(0, 1), y_range=Range1d(0, 102)
+            "histogram and cumulative curve of the scores",
+            height=190,
+            x="score",
+            y="lenses (%)",
+            x_range=Range1d(0, 1),
+            y_range=Range1d(0, 102),
         )
         self.quads = plot.quad(
             left="left", right="right", bottom=0, top="top", source=self.bars, legend_label="histogram"

@@ -35,7 +35,7 @@ def wavefront(lens: Workbench | Lens, field: int = 0) -> Guarded:
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
     bench = bench_of(lens)
-    plot = chart(height=150, match_aspect=True)
+    plot = chart(f"wavefront of field {field + 1}", height=150, match_aspect=True)
     framed(plot)
     plot.axis.visible = False
     plot.grid.visible = False
@@ -80,7 +80,7 @@ def point_spread(lens: Workbench | Lens, field: int = 0) -> Guarded:
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
     bench = bench_of(lens)
-    plot = chart(height=150, match_aspect=True)
+    plot = chart(f"point spread of field {field + 1}", height=150, match_aspect=True)
     box = framed(plot)
     plot.axis.visible = False
     plot.grid.visible = False
@@ -132,6 +132,7 @@ def modulation(lens: Workbench | Lens) -> Guarded:
 
     bench = bench_of(lens)
     plot = chart(
+        "modulation transfer",
         height=190,
         x="spatial frequency at the object (lp/mm)",
         y="modulation",
@@ -166,6 +167,7 @@ def contrast(lens: Workbench | Lens) -> Guarded:
 
     bench = bench_of(lens)
     plot = chart(
+        "contrast of lines",
         height=190,
         x="line width (µm)",
         y="contrast",
@@ -200,7 +202,7 @@ def patch(lens: Workbench | Lens) -> Guarded:
     mapper = LinearColorMapper(palette="Greys256", low=0, high=1)
     sources, charts, boxes = [], [], []
     for title in ("as designed", "as it is"):
-        plot = chart(height=180, match_aspect=True)
+        plot = chart(f"reconstructed patch, {title}", height=180, match_aspect=True)
         plot.axis.visible = plot.grid.visible = False
         source = ColumnDataSource({"image": [], "start": [], "side": []})
         image = plot.image(
@@ -222,7 +224,9 @@ def patch(lens: Workbench | Lens) -> Guarded:
         f"{fraction:g} of the half field" if fraction else "on the axis": fraction
         for fraction in FIELD_FRACTIONS
     }
-    chosen = pn.widgets.Select(options=fields, value=bench.patch_fraction, margin=(0, 8), width=160)
+    chosen = pn.widgets.Select(
+        name="field height of the patch", options=fields, value=bench.patch_fraction, margin=(0, 8), width=160
+    )
     chosen.param.watch(lambda event: bench.set_patch(event.new), "value")
     shown = pn.Row(*charts, sizing_mode="stretch_width", margin=0)
     pane = pn.Column(chosen, shown, sizing_mode="stretch_width", margin=0)
