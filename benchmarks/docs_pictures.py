@@ -4,17 +4,19 @@
     python -m benchmarks.docs_pictures whole-field FRAMES OBJECT PICTURE
     python -m benchmarks.docs_pictures fronts ONE TWO PICTURE
     python -m benchmarks.docs_pictures overview FRAMES OBJECT PICTURE
+    python -m benchmarks.docs_pictures studio LIGHT DARK
 
 STORE is that of designs/paper_figure_7.toml, FRAMES and OBJECT the folders of the whole field's
 `wavesim image` and `wavesim reconstruct` in docs/reconstruction.md; ONE and TWO those of `lensdesign explore`
 over track and yield in docs/as-built.md, of one element and of two. The overview is of the folders frames and
-object of `make demo`.
+object of `make demo`. LIGHT and DARK are pictures of the workbench in a browser.
 """
 
 from __future__ import annotations
 
 import csv
 import math
+import shutil
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -160,6 +162,30 @@ def overview(frames: Path, found: Path, picture: Path) -> None:
     figure.savefig(picture, dpi=90, bbox_inches="tight")
 
 
+def studio(light: Path, dark: Path) -> None:
+    """The workbench with the paper's lens, decentered and tilted, on light and on dark ground."""
+    from playwright.sync_api import sync_playwright
+
+    from benchmarks.workbench import served
+
+    with served() as address, sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        for scheme, picture in (("light", light), ("dark", dark)):
+            page = browser.new_page(viewport={"width": 1440, "height": 1500}, color_scheme=scheme)
+            page.goto(address)
+            page.get_by_role("tab", name="What if", exact=True).click()
+            for label, amount in (("lens decenter y, mm", "0.03"), ("lens tilt x, deg", "0.1")):
+                box = page.get_by_label(label, exact=True)
+                box.fill(amount)
+                box.press("Enter")
+            page.locator(".text-block[data-state=settled] .constraint").first.wait_for(timeout=120_000)
+            # The pictures of wavefronts and patch follow the figures.
+            page.wait_for_timeout(15_000)
+            page.screenshot(path=picture)
+            page.close()
+        browser.close()
+
+
 def main(arguments: list[str]) -> None:
     """Draw what is asked for."""
     pictures = {
@@ -167,6 +193,7 @@ def main(arguments: list[str]) -> None:
         "whole-field": (whole_field, 3),
         "fronts": (fronts, 3),
         "overview": (overview, 3),
+        "studio": (studio, 2),
     }
     name, *paths = arguments or [""]
     if name not in pictures or len(paths) != pictures[name][1]:

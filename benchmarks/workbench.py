@@ -10,6 +10,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +95,34 @@ def computing() -> None:
             )
 
 
+@contextmanager
+def served() -> Iterator[str]:
+    """Provide the address of the workbench of the paper's lens, served by a process of its own."""
+    with tempfile.TemporaryDirectory() as folder, server_of(Path(folder)) as (address, _):
+        yield address
+
+
+@contextmanager
+def server_of(folder: Path) -> Iterator[tuple[str, int]]:
+    """Serve the paper's lens from a copy in a folder; provide the address, and the process's number."""
+    design = Path(shutil.copy(DESIGNS / "paper_singlet.toml", folder / "lens.toml"))
+    server = subprocess.Popen(
+        [sys.executable, "-m", "lensdesign.cli", "studio", str(design), "--no-open"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"XDG_CACHE_HOME": str(folder)},
+    )
+    assert server.stdout is not None
+    try:
+        yield (
+            next(line.split()[-1] for line in iter(server.stdout.readline, "") if "http://" in line),
+            server.pid,
+        )
+    finally:
+        server.terminate()
+        server.wait()
+
+
 def in_browser(folder: Path) -> None:
     """The page: from the command to figures, from a slider to them, and the server's memory."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -101,41 +131,28 @@ def in_browser(folder: Path) -> None:
         return
     from playwright.sync_api import sync_playwright
 
-    design = Path(shutil.copy(DESIGNS / "paper_singlet.toml", folder / "lens.toml"))
     began = time.perf_counter()
-    server = subprocess.Popen(
-        [sys.executable, "-m", "lensdesign.cli", "studio", str(design), "--no-open"],
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"XDG_CACHE_HOME": str(folder)},
-    )
-    assert server.stdout is not None
-    address = next(line.split()[-1] for line in iter(server.stdout.readline, "") if "http://" in line)
-    answered = time.perf_counter() - began
-    try:
-        with sync_playwright() as driver:
-            browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-            page = browser.new_page(viewport={"width": 1440, "height": 900})
-            asked = time.perf_counter()
-            page.goto(address)
-            page.locator(".constraint").first.wait_for(timeout=120_000)
-            shown = time.perf_counter() - asked
-            print(f"start: server {answered:.1f} s, page with figures {shown:.1f} s after that")
-            page.locator(".yield").first.wait_for(timeout=120_000)
-            page.wait_for_timeout(5000)
-            rays, waves = page.evaluate(DRAG, [ROUNDS, 50])
-            print(f"slider to spread in the page: median {statistics.median(rays):.0f} ms of {ROUNDS}")
-            print(f"slider to predicted yield in the page: median {statistics.median(waves):.0f} ms")
-            memory = [_megabytes(server.pid)]
-            for _ in range(4):
-                _edits(page, EDITS // 4)
-                page.wait_for_timeout(3000)
-                memory.append(_megabytes(server.pid))
-            print(f"server's memory after {EDITS} edits, every quarter: {json.dumps(memory)} MB")
-            browser.close()
-    finally:
-        server.terminate()
-        server.wait()
+    with server_of(folder) as (address, process), sync_playwright() as driver:
+        answered = time.perf_counter() - began
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        asked = time.perf_counter()
+        page.goto(address)
+        page.locator(".constraint").first.wait_for(timeout=120_000)
+        shown = time.perf_counter() - asked
+        print(f"start: server {answered:.1f} s, page with figures {shown:.1f} s after that")
+        page.locator(".yield").first.wait_for(timeout=120_000)
+        page.wait_for_timeout(5000)
+        rays, waves = page.evaluate(DRAG, [ROUNDS, 50])
+        print(f"slider to spread in the page: median {statistics.median(rays):.0f} ms of {ROUNDS}")
+        print(f"slider to predicted yield in the page: median {statistics.median(waves):.0f} ms")
+        memory = [_megabytes(process)]
+        for _ in range(4):
+            _edits(page, EDITS // 4)
+            page.wait_for_timeout(3000)
+            memory.append(_megabytes(process))
+        print(f"server's memory after {EDITS} edits, every quarter: {json.dumps(memory)} MB")
+        browser.close()
 
 
 def _edits(page: Any, count: int) -> None:

@@ -7,8 +7,11 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from lensdesign.common.input_files import read_json
 from lensdesign.errors import InputError
@@ -21,6 +24,9 @@ PICTURES = (
     "frames.png",
     "object.png",
 )
+CHARTS = ("curves.png", "calibration.png")
+"""Pictures without images, all of whose colours may be inverted."""
+
 MAX_BYTES = 64_000_000
 """Largest size of a file that is shown."""
 
@@ -38,7 +44,7 @@ class FolderContents:
     facts
         Names and values, including those of a calibration.
     pictures
-        Names and bytes of PNG files.
+        Name of each PNG file, its bytes, and those of a version for a dark page.
     page
         Self-contained HTML page with a zoomable picture; empty without one.
     """
@@ -46,7 +52,7 @@ class FolderContents:
     verdict: str
     explained: bool | None
     facts: tuple[tuple[str, str], ...]
-    pictures: tuple[tuple[str, bytes], ...]
+    pictures: tuple[tuple[str, bytes, bytes], ...]
     page: str
 
 
@@ -66,7 +72,7 @@ def read_folder(folder: Path, report: Callable[[str], None]) -> FolderContents:
     values = read_json(summaries[0])
     verdict: Any = values.get("verdict") or {}
     pictures = tuple(
-        (name, path.read_bytes())
+        (name, data := path.read_bytes(), dark_picture(data, name in CHARTS))
         for name in PICTURES
         if (path := folder / name).is_file() and path.stat().st_size <= MAX_BYTES
     )
@@ -74,6 +80,44 @@ def read_folder(folder: Path, report: Callable[[str], None]) -> FolderContents:
     explained = verdict.get("explained") if isinstance(verdict, dict) else None
     words = str(verdict.get("words", "")) if isinstance(verdict, dict) else ""
     return FolderContents(words, explained, tuple(_facts(values)), pictures, _page(folder))
+
+
+def dark_picture(data: bytes, is_chart: bool) -> bytes:
+    """Return a PNG picture for a dark page, with light text on a dark ground.
+
+    Images inside the picture keep their values, because an inverted one would show another object.
+
+    Parameters
+    ----------
+    data
+        Bytes of a PNG picture with dark text on a white ground.
+    is_chart
+        Whether the whole picture may be inverted, because it contains no image.
+    """
+    from PIL import Image
+    from scipy import ndimage
+
+    try:
+        with Image.open(BytesIO(data)) as picture:
+            values = np.asarray(picture.convert("RGB"), float)
+    except (OSError, ValueError, Image.DecompressionBombError):
+        return data  # the browser shows what it can
+    # Everything but the largest connected parts is ground, text and lines.
+    parts, _ = ndimage.label(np.min(values, axis=2) < 250.0)
+    largest = 0.01 * parts.size
+    is_image = np.zeros(parts.shape, bool)
+    if not is_chart:
+        for number, box in enumerate(ndimage.find_objects(parts), start=1):
+            if (box[0].stop - box[0].start) * (box[1].stop - box[1].start) > largest:
+                is_image[box] |= ndimage.binary_fill_holes(parts[box] == number)
+    paper, ink = np.array([26.0, 30.0, 34.0]), np.array([215.0, 221.0, 227.0])
+    lightness = values.mean(axis=2, keepdims=True) / 255.0
+    # The hue stays: only the lightness is inverted.
+    inverted = ink + (paper - ink) * lightness + (values - 255.0 * lightness)
+    dark = np.where(is_image[..., None], values, np.clip(inverted, 0.0, 255.0)).astype(np.uint8)
+    stream = BytesIO()
+    Image.fromarray(dark).save(stream, "png")
+    return stream.getvalue()
 
 
 def _facts(values: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:

@@ -134,10 +134,7 @@ class WhatIf:
         InputError
             If the file cannot be written.
         """
-        state = self.of(lens).state(lens)
-        # The commands know the wavelength of the design.
-        is_nominal = state.wavelength_um == lens.wavelengths_um[0]
-        write_state(replace(state, wavelength_um=None) if is_nominal else state, path)
+        write_state(_deviations_only(self.of(lens).state(lens), lens), path)
 
 
 def read_what_if(path: Path, lens: Lens) -> WhatIf:
@@ -150,7 +147,7 @@ def read_what_if(path: Path, lens: Lens) -> WhatIf:
     InputError
         If the file cannot be read, contains no state, or belongs to another lens.
     """
-    state = read_state(path, lens)
+    state = _deviations_only(read_state(path, lens), lens)
     values: dict[str, float] = {}
     pose = state.pose
     if not pose.pivot_z_mm:
@@ -162,9 +159,21 @@ def read_what_if(path: Path, lens: Lens) -> WhatIf:
         if radius_mm is not None and own.radius_mm:
             values[f"surface {index + 1}.radius_percent"] = float(100.0 * own.radius_mm / radius_mm)
             own = replace(own, radius_mm=0.0)
-        if own != SurfacePerturbation():
-            surfaces[index] = own
-    return WhatIf(values, replace(state, pose=pose, surface_perturbations=surfaces), path.name)
+        surfaces[index] = own
+    state = _deviations_only(replace(state, pose=pose, surface_perturbations=surfaces), lens)
+    return WhatIf(values, state, path.name)
+
+
+def _deviations_only(state: SystemState, lens: Lens) -> SystemState:
+    """Return a state without values that are those of the design."""
+    surfaces = {i: own for i, own in state.surface_perturbations.items() if own != SurfacePerturbation()}
+    errors_mm = state.plane_distance_errors_mm
+    return replace(
+        state,
+        surface_perturbations=surfaces,
+        plane_distance_errors_mm=errors_mm if any(errors_mm) else (),
+        wavelength_um=None if state.wavelength_um == lens.wavelengths_um[0] else state.wavelength_um,
+    )
 
 
 def _combined(mounted: SystemState, own: SystemState, nominal_um: float) -> SystemState:

@@ -79,8 +79,13 @@ def _markup(contents: FolderContents) -> str:
         else ""
     )
     pictures = "".join(
-        f'<figure><img alt="{text(name)}" src="data:image/png;base64,{b64encode(data).decode()}">'
+        f'<figure><img class="on-light" alt="{text(name)}" src="{_source(light)}">'
+        f'<img class="on-dark" alt="{text(name)}" src="{_source(dark)}">'
         f"<figcaption>{text(name)}</figcaption></figure>"
-        for name, data in contents.pictures
+        for name, light, dark in contents.pictures
     )
     return f'<div class="text-block">{verdict}{page}{pictures}<table class="facts">{rows}</table></div>'
+
+
+def _source(data: bytes) -> str:
+    return f"data:image/png;base64,{b64encode(data).decode()}"

@@ -66,6 +66,7 @@ class _Tolerances(JobPane):
         storage = tempfile.TemporaryDirectory(prefix="studio")
         arguments = (bench.lens, quality, bench.session.trials, Path(storage.name))
         bench.session.study = StudyRun(Job(run_trials, arguments, bench.notify), quality.study, storage)
+        self.update()
         bench.notify()
 
     def _poll(self) -> None:

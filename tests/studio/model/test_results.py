@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from lensdesign import InputError
-from studio.model.results import read_folder
+from studio.model.results import dark_picture, read_folder
 
 
 def test_a_folder_says_what_it_holds(tmp_path: Path) -> None:
@@ -18,8 +21,22 @@ def test_a_folder_says_what_it_holds(tmp_path: Path) -> None:
     seen = read_folder(tmp_path, lambda _: None)
     assert (seen.verdict, seen.explained) == ("no <b>", False)
     assert dict(seen.facts) == {"kind": "amplitude", "misfit": "0.123457", "bench, tilt x deg": "0.1"}
-    assert seen.pictures == (("residuals.png", b"png"),)
+    assert seen.pictures == (("residuals.png", b"png", b"png"),)
     assert seen.page == ""  # nothing to zoom into
+
+
+@pytest.mark.parametrize("is_chart", [False, True])
+def test_pictures_for_dark_pages_keep_their_images(is_chart: bool) -> None:
+    values = np.full((200, 200, 3), 255, np.uint8)
+    values[20:24, 20:24] = 0  # text
+    values[60:160, 60:160] = np.linspace(0, 240, 100).astype(np.uint8)[None, :, None]
+    stream = BytesIO()
+    Image.fromarray(values).save(stream, "png")
+    with Image.open(BytesIO(dark_picture(stream.getvalue(), is_chart))) as picture:
+        dark = np.asarray(picture)
+    assert dark[5, 5].max() < 40
+    assert dark[22, 22].min() > 200
+    assert np.array_equal(dark[60:160, 60:160], values[60:160, 60:160]) is not is_chart
 
 
 @pytest.mark.parametrize("text", ["{", "[]"])

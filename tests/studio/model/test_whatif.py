@@ -50,6 +50,8 @@ def test_a_file_brings_the_same_system_back(
     read.pop("wavelength_um", None)  # that of the design
     assert _flat(read) == pytest.approx(_flat(written), rel=1e-9, abs=1e-15)
     assert again.is_active is bool(values)
+    if values.keys() <= {"lens.decenter_y_mm", "lens.tilt_x_deg", "lens.despace_mm"}:
+        assert again.mounted == SystemState()
     for key in ("lens.decenter_y_mm", "lens.tilt_x_deg", "surface 2.radius_percent"):
         if key in values and "environment.temperature_c" not in values:
             assert again.values[key] == pytest.approx(values[key], rel=1e-12)
