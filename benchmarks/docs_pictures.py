@@ -180,7 +180,7 @@ def studio(light: Path, dark: Path) -> None:
                 box.press("Enter")
             page.locator(".text-block[data-state=settled] .constraint").first.wait_for(timeout=120_000)
             # The pictures of wavefronts and patch follow the figures.
-            page.wait_for_timeout(15_000)
+            page.wait_for_timeout(25_000)
             page.screenshot(path=picture)
             page.close()
         browser.close()
