@@ -1,10 +1,10 @@
 from .comparison import compare
-from .deviations import deviations
 from .front import explore
 from .manufacture import export
 from .rays import footprint, layout, spread
 from .results import result_folder_pane
 from .search import optimize
+from .strip import deviations
 from .summary import as_built, findings
 from .table import surface_table
 from .trials import tolerances
