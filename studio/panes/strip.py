@@ -17,8 +17,8 @@ class DeviationStrip(ScriptPart):
 
     words = param.String(default="", doc="Active deviations; empty: the strip is hidden.")
 
-    _esm = HERE / "deviations.js"
-    _stylesheets = [HERE / "deviations.css"]  # noqa: RUF012 - as Panel has it
+    _esm = HERE / "strip.js"
+    _stylesheets = [HERE / "strip.css"]  # noqa: RUF012 - as Panel has it
 
 
 def deviations(lens: Workbench | Lens) -> DeviationStrip:
