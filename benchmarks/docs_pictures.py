@@ -179,8 +179,10 @@ def studio(light: Path, dark: Path) -> None:
                 box.fill(amount)
                 box.press("Enter")
             page.locator(".text-block[data-state=settled] .constraint").first.wait_for(timeout=120_000)
-            # The pictures of wavefronts and patch follow the figures.
-            page.wait_for_timeout(25_000)
+            # The pictures of wavefronts and patch follow the figures, first coarsely.
+            page.wait_for_timeout(5_000)
+            page.wait_for_function("!('pending' in document.documentElement.dataset)", timeout=120_000)
+            page.wait_for_timeout(20_000)
             page.screenshot(path=picture)
             page.close()
         browser.close()
