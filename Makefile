@@ -97,9 +97,8 @@ test-lowest: $(READY)
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 \
 	  .venv-lowest/bin/python -m pytest -n auto --dist loadscope --no-loadscope-reorder
 
-# The variable silences what the theme says of its own future.
 docs: $(READY)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	$(BIN)/sphinx-build --builder html --conf-dir docs --doctree-dir build/doctrees --fail-on-warning --quiet . site
 	@echo "open site/index.html in a browser"
 
 benchmarks: $(READY)

@@ -5,11 +5,14 @@
     python -m benchmarks.docs_pictures fronts ONE TWO PICTURE
     python -m benchmarks.docs_pictures overview FRAMES OBJECT PICTURE
     python -m benchmarks.docs_pictures studio LIGHT DARK
+    python -m benchmarks.docs_pictures bench FRAMES WRONG CALIBRATED PICTURE
 
 STORE is that of designs/paper_figure_7.toml, FRAMES and OBJECT the folders of the whole field's
 `wavesim image` and `wavesim reconstruct` in docs/reconstruction.md; ONE and TWO those of `lensdesign explore`
 over track and yield in docs/as-built.md, of one element and of two. The overview is of the folders frames and
-object of `make demo`. LIGHT and DARK are pictures of the workbench in a browser.
+object of `make demo`. LIGHT and DARK are pictures of the workbench in a browser. FRAMES, WRONG and CALIBRATED
+are the folders of docs/bench.md: frames of a bench that differs from its design, and what `wavesim reconstruct`
+finds in them without and with a calibration.
 """
 
 from __future__ import annotations
@@ -188,6 +191,32 @@ def studio(light: Path, dark: Path) -> None:
         browser.close()
 
 
+def bench(frames: Path, wrong: Path, calibrated: Path, picture: Path) -> None:
+    """The object, a frame, and the reconstructions without and with a calibration."""
+    from matplotlib.figure import Figure
+
+    from wavesim import read_frames
+    from wavesim.plots.panels import AS_SAMPLED, scale_bar
+
+    uncorrected, true, pitch_um = _amplitudes(frames, wrong)
+    corrected, _, _ = _amplitudes(frames, calibrated)
+    frame = read_frames([frames / "frame_1.tif"])[0]
+    recorded = np.sqrt(np.clip(frame.counts - frame.settings.offset_counts, 0.0, None))
+    figure = Figure(figsize=(12.0, 3.4), layout="constrained")
+    for axes, title, values, brightest, sample_um in zip(
+        figure.subplots(1, 4),
+        ("object", "first frame", "found without a calibration", "found with a calibration"),
+        (true, recorded, uncorrected, corrected),
+        (1.0, float(recorded.max()), 1.0, 1.0),
+        (pitch_um, frame.settings.pixel_pitch_um, pitch_um, pitch_um),
+        strict=True,
+    ):
+        axes.imshow(values, cmap="gray", vmin=0.0, vmax=brightest, **AS_SAMPLED)
+        axes.set_title(title)
+        scale_bar(axes, values.shape, sample_um)
+    figure.savefig(picture, dpi=90)
+
+
 def main(arguments: list[str]) -> None:
     """Draw what is asked for."""
     pictures = {
@@ -196,6 +225,7 @@ def main(arguments: list[str]) -> None:
         "fronts": (fronts, 3),
         "overview": (overview, 3),
         "studio": (studio, 2),
+        "bench": (bench, 4),
     }
     name, *paths = arguments or [""]
     if name not in pictures or len(paths) != pictures[name][1]:

@@ -80,7 +80,7 @@ def _write(path: Path, elements: Mapping[str, Element], results: Mapping[str, Re
 def section(element: Element, result: Result, pictures: str) -> str:
     """One element."""
     made = result.made
-    lines = [f"## {element.title} {{#{element.key}}}", "", f"**The paper.** {element.statement}", ""]
+    lines = [f"## {element.title}", "", f"**The paper.** {element.statement}", ""]
     for picture in made.pictures:
         lines += [f"![{picture.caption}]({pictures}/{picture.file})", "", f"*{picture.caption}*", ""]
     if made.numbers:
@@ -94,7 +94,7 @@ def section(element: Element, result: Result, pictures: str) -> str:
 def all_numbers(results: Iterable[tuple[Element, Result]]) -> str:
     """Every number that the paper states, in its order."""
     lines = [
-        "## All numbers of the paper {#numbers}",
+        "## All numbers of the paper",
         "",
         "| | the paper | here | as in the paper | element |",
     ]
@@ -103,9 +103,14 @@ def all_numbers(results: Iterable[tuple[Element, Result]]) -> str:
         for number in result.made.numbers:
             if number.paper is not None:
                 said = "yes" if number.agrees else "no"
-                link = f"[{element.title.partition(':')[0]}](#{element.key})"
+                link = f"[{element.title.partition(':')[0]}](#{_anchor(element.title)})"
                 lines.append(f"| {number.name} | {_paper(number)} | {_here(number)} | {said} | {link} |")
     return "\n".join([*lines, ""])
+
+
+def _anchor(title: str) -> str:
+    """Return the anchor of a heading, as code hosts and the documentation's site give it."""
+    return re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-")
 
 
 def _row(number: Number) -> str:

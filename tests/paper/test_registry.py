@@ -332,7 +332,7 @@ def test_an_objective_passes_its_aperture_and_no_more() -> None:
 def test_the_page_has_every_element_as_it_is_now() -> None:
     page = PAGE.read_text(encoding="utf-8")
     for key, element in ELEMENTS.items():
-        assert f"## {element.title} {{#{key}}}\n\n**The paper.** {element.statement}\n" in page, key
+        assert f"## {element.title}\n\n**The paper.** {element.statement}\n" in page, key
 
 
 def test_pictures_are_small_and_all_are_shown() -> None:

@@ -58,7 +58,7 @@ def values_or_nan(
     shape: tuple[int, ...] = (),
     failure: type[Exception] = TransferLensError,
 ) -> Array:
-    """Return values of shape (trials, *shape), trial by trial if the batch fails; NaN for failed trials."""
+    """Return values of shape `(trials, *shape)`, trial by trial if the batch fails; NaN for failed trials."""
     try:
         return np.asarray(compute(batch), float)
     except failure:

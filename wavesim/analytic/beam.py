@@ -83,10 +83,10 @@ class Beam:
         return superpose(angle, weight, self.wavenumber_per_mm, y, z)
 
     def cylinder_waves(self, orders: int) -> ComplexArray:
-        """Return the amplitudes b_m of the waves J_m(k r) exp(i m phi) about y = z = 0, for m = 0 ... orders.
+        """Return amplitudes `b_m` of the waves `J_m(k r) exp(i m phi)` about y = z = 0, for m = 0 ... orders.
 
-        Here z = r cos(phi) and y = r sin(phi), and b_-m = (-1)^m b_m. A plane wave at the angle theta has the
-        amplitudes i^m exp(-i m theta), so one Fourier transform over theta gives all b_m.
+        Here z = r cos(phi) and y = r sin(phi), and `b_-m = (-1)^m b_m`. A plane wave at the angle theta has
+        the amplitudes `i^m exp(-i m theta)`, so one Fourier transform over theta gives all `b_m`.
         """
         k = self.wavenumber_per_mm
         count = fft.next_fast_len(math.ceil(k * abs(self.waist_z_mm) + 40.0 / self.spread) + orders)

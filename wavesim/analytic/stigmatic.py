@@ -42,7 +42,7 @@ def collimated_amplitude(
 ) -> Array:
     """Return the modulus of the field of :func:`point_field` behind the lens, with ideal coatings.
 
-    Energy stays between neighbouring rays: |u|^2 dy = (2 pi / k) g(theta)^2 d theta, with
+    Energy stays between neighbouring rays: `|u|^2 dy = (2 pi / k) g(theta)^2 d theta`, with
     g = cos^2(pi p / (2 NA)) cos(theta) the object's spectrum over angles, p = sin(theta), and
     dy / d theta = f (n - 1) (n - cos(theta)) / (n cos(theta) - 1)^2.
     """

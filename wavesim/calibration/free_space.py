@@ -3,7 +3,7 @@
 The frames' amplitudes lie on samples as coarse as their bandwidth allows, with a margin around them. The
 field takes accelerated steps of :class:`wavesim.forward.forward_model.ForwardModel` within its band.
 From time to time, positions and gains of the planes take a Gauss-Newton step. The derivative of the amplitude
-|v| on a plane with respect to its position or distance is Re(conj(v) dv) / |v|.
+`|v|` on a plane with respect to its position or distance is `Re(conj(v) dv) / |v|`.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ A grid lies in a plane perpendicular to the axis. It is a whole plane, or one me
 line the problem is two-dimensional: nothing varies along x, and point sources are line sources. Lines serve
 long parameter sweeps and exact solutions.
 
-Fields vary in time as exp(-i w t), so that a wave along +z is exp(+i k z). A field u is scaled so that |u|^2
-times refractive index and cosine of the angle to the axis is the flux through the plane.
+Fields vary in time as exp(-i w t), so that a wave along +z is exp(+i k z). A field u is scaled so that
+`|u|^2` times refractive index and cosine of the angle to the axis is the flux through the plane.
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ class Field:
 
     @property
     def energy(self) -> float:
-        """Integral of |u|^2 over the grid: sum of |u|^2 times the cell in mm (line) or mm^2 (plane)."""
+        """Integral of `|u|^2` over the grid: sum of `|u|^2` times the cell in mm (line) or mm^2 (plane)."""
         return float(np.sum(abs(self.values) ** 2)) * self.grid.cell
 
     def with_values(self, values: Any) -> Field:

@@ -3,8 +3,8 @@
 Amplitudes with standard deviations s have the weight (s of a plane's brightest pixel / s)^2, at most 1
 (:func:`wavesim.sensor.measurement.weights_of`). A pixel with infinite s has no influence.
 
-A pixel measures the mean of |u|^2 over its square. The step follows the gradient of the misfit: each pixel's
-ratio of measured to modelled amplitude is spread over its square. Planes are processed one after the other,
+A pixel measures the mean of `|u|^2` over its square. The step follows the gradient of the misfit: each
+pixel's ratio of measured to modelled amplitude is spread over its square. Planes are processed one after the other,
 so that only one plane's fields are in memory.
 
 Light of an extended or polychromatic source consists of a few modes. Each has its own direction and
@@ -158,7 +158,7 @@ class ForwardModel:
         1.
 
         One draw of the noise is propagated back through the lens, which accounts for aperture, windows and
-        weights. Where the light has its peak brightness the result is about
+        weights. Where the light has its peak brightness the result is about::
 
             s sqrt(exit cell / (2 planes object cell)) / max |u|,
 

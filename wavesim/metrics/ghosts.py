@@ -72,8 +72,8 @@ class FoundGhost:
 def ghost_in_residuals(planes: Sequence[GhostPlane]) -> FoundGhost:
     """Fit the ghost's interference with the modelled light to the residuals of all planes.
 
-    A ghost of amplitude g beside a field F changes the amplitude |F| of a pixel by Re(g conj(F) G) / |F| to
-    first order. Weighted least squares give the two unknown numbers. The result is a lower bound where a
+    A ghost of amplitude g beside a field F changes the amplitude `|F|` of a pixel by `Re(g conj(F) G) / |F|`
+    to first order. Weighted least squares give the two unknown numbers. The result is a lower bound where a
     reconstruction has already absorbed a part of the ghost in its object.
 
     Parameters

@@ -120,8 +120,7 @@ def transmitted_part(field: Field, by: Engine | TransmittedDirections | float) -
 
         - An engine. Its forward and adjoint include all effects that it models.
         - Directions from :func:`transmitted_directions`. They include stop and vignetting, at a small
-        fraction of
-          the cost.
+          fraction of the cost.
         - A numerical aperture (:func:`~wavesim.targets.patterns.band_limit`).
 
     Returns

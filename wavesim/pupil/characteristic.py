@@ -3,7 +3,7 @@
 V(c, s) is the optical path from an object point c to a sensor point s (Hamilton's point characteristic).
 Its gradients are the directions of the ray at both ends: dV/dc = -p and dV/ds = n q. The field of a plane
 object O near c is U(s) = (1/lambda) a(s) exp(i k V(c, s)) times the spectrum of O at p(s). The amplitude
-a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out))) follows from the conservation of energy along rays.
+`a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out)))` follows from the conservation of energy along rays.
 
 References
 ----------

@@ -1,8 +1,8 @@
 """Expected loss of an object's content in a reconstruction by the nominal lens, from a linearised model.
 
 Random objects on a meridian (:mod:`wavesim.pupil.meridian`), under even light in a field stop, give
-amplitudes A = |E t| on the sensor's planes, with shot noise. Near each object the reconstruction is linear:
-an error dA of the amplitudes changes the object found by
+amplitudes `A = |E t|` on the sensor's planes, with shot noise. Near each object the reconstruction is linear:
+an error dA of the amplitudes changes the object found by::
 
     dt = (J* W J + 1 / tau^2)^-1 J* W dA,     J = Re(conj(E t) E / |E t|).
 

@@ -1,7 +1,7 @@
 """Waves on a meridian of the object and the sensor, through a nominal lens and perturbed copies of it.
 
 The meridian is a line across the object through a field point, and the points s of the sensor that its rays
-reach with direction cosines along the line. On it the lens is a matrix
+reach with direction cosines along the line. On it the lens is a matrix::
 
     E(s, x) = sqrt(|dp/ds| dx ds / lambda) exp(i k V(x, s))
 

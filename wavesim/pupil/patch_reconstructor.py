@@ -2,7 +2,7 @@
 
 Both propagations use rays from the patch's centre c (:mod:`wavesim.engines.eikonal.engine`). The forward
 field is U'(s) = (1/lambda) a'(s) exp(i k V'(s)) times the spectrum of O at p'(s). The reconstruction
-is
+is::
 
     O_rec(d) = (1/lambda^2) Int dp |ds/dp| a a' exp(i k (V' - V)) Spectrum[O](p'(s(p))) exp(i k p.d),
 

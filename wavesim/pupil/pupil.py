@@ -328,7 +328,7 @@ def rms_waves(pupil: ReconstructionPupil) -> float:
 
 
 def strehl(pupil: ReconstructionPupil) -> float:
-    """Return the Strehl ratio |mean exp(i k dV)|^2 over the valid samples.
+    """Return the Strehl ratio `|mean exp(i k dV)|^2` over the valid samples.
 
     It is the intensity of the point spread function at the nominal image point, relative to that of a perfect
     pupil. For the ratio at the displaced image point, register the pupil first (:func:`refocus` or

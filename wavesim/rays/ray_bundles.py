@@ -2,7 +2,7 @@
 
 A ray is named by its object point and by the point of the stop through which it goes, as a share of the
 stop's semi-diameter. Beside its end on a plane it carries the optical path V, the object-side direction
-cosines p, and the amplitude a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out))) that keeps the flux of a tube of
+cosines p, and the amplitude `a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out)))` that keeps the flux of a tube of
 rays. Each caustic that it has touched on its way turns its phase back by a quarter wave; see Yu. A. Kravtsov
 and Yu. I. Orlov, "Geometrical Optics of Inhomogeneous Media" (1990).
 """

@@ -1,7 +1,7 @@
 """Object-domain reconstruction: find the object itself from intensities behind the lens.
 
 The object t (its complex transmission) under a known illumination u gives the fields A_n(u t) on the planes
-n. The solver minimizes the weighted misfit of amplitudes plus a total variation by the steps
+n. The solver minimizes the weighted misfit of amplitudes plus a total variation by the steps::
 
     t <- prox( t + mean over n of conj(u) A_n*( P_n(A_n(u t)) - A_n(u t) ) / max |u|^2 ),
 

@@ -42,7 +42,7 @@ class PixelLight:
     Attributes
     ----------
     caught : float
-        Sum of |u|^2 over all samples so far.
+        Sum of `|u|^2` over all samples so far.
     """
 
     def __init__(

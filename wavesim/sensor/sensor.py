@@ -79,7 +79,7 @@ def light_on_pixels(
     shift_um: tuple[float, float] = (0.0, 0.0),
     blur_um: float = 0.0,
 ) -> Array:
-    """Return the mean intensity |u|^2 on each pixel's photosensitive square.
+    """Return the mean intensity `|u|^2` on each pixel's photosensitive square.
 
     A chirp-z transform resamples the field to :func:`sensor_grid` as a band-limited function, including
     shifts by fractions of a pixel, unless the field already has these samples.

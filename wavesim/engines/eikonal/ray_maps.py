@@ -169,7 +169,7 @@ class MapsOverObject:
     edge_error_mm: float
 
     def slopes_per_mm(self, points_mm: Array) -> Array:
-        """Return the largest |dp_i / ds_j| over the footprints of object points, in the order (y, x)."""
+        """Return the largest `|dp_i / ds_j|` over the footprints of object points, in the order (y, x)."""
         terms = total_order_terms(self.carriers.region.scaled(points_mm), SLOPE_ORDER)
         return np.asarray(np.max(np.tensordot(terms, self.slopes, axes=1), axis=0))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import importlib
 import inspect
 import re
@@ -11,9 +10,14 @@ from typing import Any
 MARK = re.compile(r"^<!-- commands of (\w+) -->$", re.MULTILINE)
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def setup(app: Any) -> dict[str, bool]:
     """Put every command of an application in the place of its mark."""
-    return MARK.sub(lambda mark: application(mark[1]), markdown)
+    app.connect("source-read", _filled)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def _filled(app: Any, docname: str, source: list[str]) -> None:
+    source[0] = MARK.sub(lambda mark: application(mark[1]), source[0])
 
 
 def application(package: str) -> str:
@@ -57,10 +61,8 @@ def _row(names: str, meaning: str) -> str:
     plain, bracket, notes = meaning.rpartition("  [")
     if not bracket:
         plain, notes = (meaning, "") if not meaning.startswith("[") else ("", meaning[1:])
-    # Between backticks, a bar that is masked by a backslash would show the backslash.
-    code = f"<code>{_cell(html.escape(names))}</code>"
-    return "| " + " | ".join([code, _cell(plain), _cell(notes.removesuffix("]"))]) + " |"
+    return "| " + " | ".join([f"`{_cell(names)}`", _cell(plain), _cell(notes.removesuffix("]"))]) + " |"
 
 
 def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "&#124;")
+    return " ".join(text.split()).replace("|", r"\|")

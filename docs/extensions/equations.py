@@ -1,24 +1,31 @@
-"""Equations in fences named math, typeset while the site is built: no scripts, no fonts, no network."""
+"""Equations, drawn while the site is built: no scripts, no fonts, no network."""
 
 from __future__ import annotations
 
 import html
-import re
 from typing import Any
 
-FENCE = re.compile(r"^```math\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 UNITS_PER_EM = 100.0
 SCALE = 1.2  # of the text around: Times looks smaller than the page's letters
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put drawings in the place of TeX."""
-    return FENCE.sub(_equations, markdown)
+def setup(app: Any) -> dict[str, bool]:
+    """Let Sphinx render mathematics by this module."""
+    app.add_html_math_renderer("drawn", (_inline, None), (_block, None))
+    app.config.html_math_renderer = "drawn"
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
-def _equations(fence: re.Match[str]) -> str:
-    lines = [line for line in fence[1].splitlines() if line.strip()]
-    return f'<div class="equation">{"".join(map(drawn, lines))}</div>'
+def _inline(translator: Any, node: Any) -> None:
+    raise NotImplementedError(f"mathematics within a line: {node.astext()}; use a block")
+
+
+def _block(translator: Any, node: Any) -> None:
+    from docutils.nodes import SkipNode
+
+    lines = [line for line in node.astext().splitlines() if line.strip()]
+    translator.body.append(f'<div class="equation">{"".join(map(drawn, lines))}</div>')
+    raise SkipNode
 
 
 def drawn(tex: str) -> str:
