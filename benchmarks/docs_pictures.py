@@ -60,11 +60,11 @@ def figure_7(store: Path, picture: Path) -> None:
     page.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(picture, optimize=True)
 
 
-def _drawn(figure: Any) -> Image:
+def _drawn(figure: Any, dots_per_inch: int = DOTS_PER_INCH) -> Image:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    figure.set_dpi(DOTS_PER_INCH)
+    figure.set_dpi(dots_per_inch)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
@@ -214,7 +214,7 @@ def bench(frames: Path, wrong: Path, calibrated: Path, picture: Path) -> None:
         axes.imshow(values, cmap="gray", vmin=0.0, vmax=brightest, **AS_SAMPLED)
         axes.set_title(title)
         scale_bar(axes, values.shape, sample_um)
-    figure.savefig(picture, dpi=90)
+    _drawn(figure, 90).quantize(64).save(picture, optimize=True)
 
 
 def main(arguments: list[str]) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from lensdesign import launch, load_design, pupil_hexapolar, trace
 from lensdesign.analysis import largest_spread_angle
-from tolerancing.report.figures.style import BLUE, GREEN, GREY, INK, ORANGE, RED, styled
+from tolerancing.report.figures.style import BLUE, GREEN, GREY, ORANGE, RED, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -137,7 +137,9 @@ def two_planes(picture: Path) -> None:
             behind = propagate(field, 8.0)
             first.plot(y_mm, np.abs(field.values) ** 2, color=colour, ls=dashes, label=name)
             second.plot(y_mm, np.abs(behind.values) ** 2, color=colour, ls=dashes, label=name)
-        first.set(title="first plane: the same intensity", xlabel="y (mm)", ylabel="intensity", xlim=(-0.7, 0.7))
+        first.set(
+            title="first plane: the same intensity", xlabel="y (mm)", ylabel="intensity", xlim=(-0.7, 0.7)
+        )
         second.set(title="8 mm behind it: the phase shows", xlabel="y (mm)", xlim=(-0.7, 0.7))
         second.legend(title="wave")
         _save(figure, picture)

@@ -5,10 +5,16 @@ The sources are those of the repository, not only of this folder, so that links 
 
 from __future__ import annotations
 
+import gc
+import logging
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
+
+# A third of the build's time would go to collections of what lives to its end, and to messages nobody reads.
+gc.set_threshold(200_000, 50, 50)
+logging.getLogger("sphinx").setLevel(logging.INFO)
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
@@ -65,6 +71,8 @@ html_extra_path = ["root"]
 html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False
+html_show_search_summary = False  # Pages that are opened as files may not read others.
+html_sidebars = {"**": ["sidebar-nav-bs"], "docs/index": [], "docs/gallery": [], "docs/studio": []}
 html_context = {"default_mode": "auto"}
 html_theme_options: dict[str, Any] = {
     "logo": {"text": html_title},

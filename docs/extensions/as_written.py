@@ -6,6 +6,9 @@ import inspect
 import re
 from typing import Any
 
+from docutils import nodes
+from sphinx.addnodes import desc_content
+from sphinx.transforms import SphinxTransform
 from sphinx.util.inspect import stringify_signature
 from sphinx.util.typing import stringify_annotation
 
@@ -18,7 +21,26 @@ def setup(app: Any) -> dict[str, bool]:
     app.connect("autodoc-process-signature", _signature, priority=400)
     app.connect("autodoc-process-docstring", _sections, priority=400)
     app.connect("autodoc-skip-member", _skipped)
+    app.add_transform(PlainFields)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+class PlainFields(SphinxTransform):
+    """Give fields of classes the name that docstrings give them, and leave out the base of all classes."""
+
+    default_priority = 900
+
+    def apply(self, **_: Any) -> None:
+        for name in self.document.findall(nodes.field_name):
+            if name.astext() == "Variables":
+                name[:] = [nodes.Text("Attributes")]
+        for field in self.document.findall(nodes.field_list):
+            for text in list(field.findall(nodes.Text)):
+                if text == " -- ":
+                    text.parent.replace(text, nodes.Text(" – "))
+        for content in self.document.findall(desc_content):
+            if content and content[0].astext() == "Bases: object":
+                del content[0]
 
 
 def _signature(
@@ -71,7 +93,7 @@ def _written_fields(cls: type) -> dict[str, Any]:
     return {
         name: annotation
         for base in reversed(cls.__mro__)
-        for name, annotation in base.__dict__.get("__annotations__", {}).items()
+        for name, annotation in inspect.get_annotations(base).items()
     }
 
 
@@ -84,6 +106,9 @@ def _sections(app: Any, what: str, name: str, obj: Any, options: Any, lines: lis
 
 
 def _skipped(app: Any, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
-    """Leave out constants, and aliases of types."""
-    is_definition = inspect.isroutine(obj) or inspect.isclass(obj) or isinstance(obj, property)
-    return True if what == "module" and not is_definition else None
+    """Leave out constants, aliases of types, and imported names, before autodoc reads them."""
+    if what != "module":
+        return None
+    is_definition = inspect.isroutine(obj) or inspect.isclass(obj) or hasattr(obj, "__wrapped__")
+    is_own = getattr(obj, "__module__", None) == app.env.current_document.autodoc_module
+    return None if is_definition and is_own else True

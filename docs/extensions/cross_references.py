@@ -28,7 +28,9 @@ class NamesAsLinks(SphinxTransform):
     def apply(self, **_: Any) -> None:
         page = self.env.docname
         for link in self.document.findall(pending_xref):
-            link.attributes.pop("refspecific", None)  # It asks for a search in all names, which takes minutes.
+            link.attributes.pop(
+                "refspecific", None
+            )  # It asks for a search in all names, which takes minutes.
         for literal in list(self.document.findall(nodes.literal)):
             if isinstance(literal.parent, nodes.reference | pending_xref | nodes.title):
                 continue
@@ -42,9 +44,7 @@ class NamesAsLinks(SphinxTransform):
         if command and page != COMMANDS_PAGE and command[2] in _commands(command[1]):
             # Without a target of its own, a heading has the anchor that its words give.
             uri = f"{COMMANDS_PAGE}#{command[1]}-{command[2]}"
-            return pending_xref(
-                refdomain="", reftype="command", reftarget=uri, refdoc=page
-            )
+            return pending_xref(refdomain="", reftype="command", reftarget=uri, refdoc=page)
         package = PACKAGE_OF_PAGE.get(page)
         if package is not None and text in importlib.import_module(package).__all__:
             text = f"{package}.{text}"

@@ -33,9 +33,8 @@ class PictureWidths(SphinxTransform):
     def apply(self, **_: Any) -> None:
         from PIL import Image
 
-        folder = Path(self.env.srcdir, self.env.docname).parent
         for image in self.document.findall(nodes.image):
-            path = folder / image["uri"]
+            path = Path(self.env.srcdir, image["uri"])
             if "width" in image or not path.exists() or "cards" in _classes_around(image):
                 continue
             if path.suffix == ".png":

@@ -4,8 +4,8 @@ Amplitudes with standard deviations s have the weight (s of a plane's brightest 
 (:func:`wavesim.sensor.measurement.weights_of`). A pixel with infinite s has no influence.
 
 A pixel measures the mean of `|u|^2` over its square. The step follows the gradient of the misfit: each
-pixel's ratio of measured to modelled amplitude is spread over its square. Planes are processed one after the other,
-so that only one plane's fields are in memory.
+pixel's ratio of measured to modelled amplitude is spread over its square. Planes are processed one after the
+other, so that only one plane's fields are in memory.
 
 Light of an extended or polychromatic source consists of a few modes. Each has its own direction and
 wavelength, and they do not interfere. A pixel measures the sum of their intensities, and each mode is changed
