@@ -157,7 +157,7 @@ def test_no_page_scrolls_sideways_on_a_telephone(site: Path, browser: Any) -> No
     ]
     assert len(paths) > 40
     for path in paths:
-        page.goto(path.as_uri(), wait_until="domcontentloaded")
+        page.goto(path.as_uri(), wait_until="load")
         assert page.evaluate("document.scrollingElement.scrollWidth") <= 390, path
 
 
