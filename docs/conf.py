@@ -62,7 +62,6 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 napoleon_use_rtype = False
 
-templates_path = ["templates"]
 html_theme = "pydata_sphinx_theme"
 html_title = f"transferlens {release}"
 html_static_path = ["static"]

@@ -98,7 +98,7 @@ def test_pictures_open_at_their_full_size(site: Path) -> None:
     for name in ("engines", "theory", "gallery"):
         page = (site / "docs" / f"{name}.html").read_text(encoding="utf-8")
         pictures = re.findall(r'<a [^>]*href="([^"]+)"><img [^>]*src="\.\./(_images/[^"]+)" style', page)
-        assert len(pictures) >= 4
+        assert len(pictures) >= 4, name
         for link, picture in pictures:
             assert link == f"../{picture}"
             assert (site / picture).exists()

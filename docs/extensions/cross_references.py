@@ -14,7 +14,7 @@ from sphinx.transforms import SphinxTransform
 
 PACKAGES = ("lensdesign", "wavesim", "tolerancing", "studio")
 DOTTED = re.compile(rf"(?:{'|'.join(PACKAGES)})\.\w[\w.]*")
-COMMAND = re.compile(r"(lensdesign|wavesim|tolerancing) ([a-z]+)\b")
+COMMAND = re.compile(r"(lensdesign|wavesim|tolerancing) ([a-z-]+)\b")
 # Pages on which a public name of a package, by itself, means just that.
 PACKAGE_OF_PAGE = {"docs/engines": "wavesim", "docs/reconstruction": "wavesim"}
 COMMANDS_PAGE = "docs/commands"
