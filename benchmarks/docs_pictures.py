@@ -11,8 +11,8 @@ STORE is that of designs/paper_figure_7.toml, FRAMES and OBJECT the folders of t
 `wavesim image` and `wavesim reconstruct` in docs/reconstruction.md; ONE and TWO those of `lensdesign explore`
 over track and yield in docs/as-built.md, of one element and of two. The overview is of the folders frames and
 object of `make demo`. LIGHT and DARK are pictures of the workbench in a browser. FRAMES, WRONG and CALIBRATED
-are the folders of docs/bench.md: frames of a bench that differs from its design, and what `wavesim reconstruct`
-finds in them without and with a calibration.
+are the folders of docs/bench.md: frames of a bench that differs from its design, and what
+`wavesim reconstruct` finds in them without and with a calibration.
 """
 
 from __future__ import annotations
