@@ -7,7 +7,7 @@ import inspect
 import os
 import re
 import types
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -23,7 +23,9 @@ from lensdesign.common.outputs import output_file, output_folder
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import InputError
 
-SETTINGS_OPTION = "--settings"
+SETTINGS_OPTION, SETTINGS_NAME = "--settings", "settings_file"
+"""Option of every command, and its parameter."""
+
 SETTINGS_FILE = "settings.toml"
 """Name of the file that states the settings of the results in its folder."""
 
@@ -90,16 +92,6 @@ class Parameter:
         """Type of the values, without None."""
         return _plain_type(self.annotation)
 
-    @property
-    def is_flag(self) -> bool:
-        """Whether the option has no value on the command line."""
-        return self.kind is bool
-
-    @property
-    def value_count(self) -> int:
-        """Number of values that follow the option."""
-        return 0 if self.is_flag else len(get_args(self.kind)) if get_origin(self.kind) is tuple else 1
-
     @cached_property
     def info(self) -> Any:
         """Typer's description of the parameter."""
@@ -130,8 +122,8 @@ class Parameter:
         *words, last = self.metavar.replace("[", "").replace("]", "").split("|")
         return kind is str and last in ("FILE", "STUDY") and value not in words
 
-    def values_text(self, value: Any, folder: Path) -> list[str]:
-        """Return a value of a file as words of the command line; relative paths start at a folder.
+    def converted(self, value: Any, folder: Path) -> Any:
+        """Return a value of a file as the command line has it; relative paths start at a folder.
 
         Raises
         ------
@@ -140,26 +132,24 @@ class Parameter:
         """
         kind = self.kind
         if get_origin(kind) is list:
-            if not isinstance(value, list):
-                raise ValueError(
-                    f"must be an array, each item {_TYPE_NAMES.get(get_args(kind)[0], 'a text')}"
-                )
             inner = _plain_type(get_args(kind)[0])
-            return [self._word(inner, item, folder) for item in value]
+            if not isinstance(value, list):
+                raise ValueError(f"must be an array, each item {_TYPE_NAMES.get(inner, 'a text')}")
+            return [self._item(inner, item, folder) for item in value]
         if get_origin(kind) is tuple:
-            inner_kinds = get_args(kind)
-            if not isinstance(value, list) or len(value) != len(inner_kinds):
-                raise ValueError(f"must be an array of {len(inner_kinds)}")
-            return [self._word(one, item, folder) for one, item in zip(inner_kinds, value, strict=True)]
-        return [self._word(kind, value, folder)]
+            kinds = get_args(kind)
+            if not isinstance(value, list) or len(value) != len(kinds):
+                raise ValueError(f"must be an array of {len(kinds)}")
+            return tuple(self._item(one, item, folder) for one, item in zip(kinds, value, strict=True))
+        return self._item(kind, value, folder)
 
-    def _word(self, kind: Any, value: Any, folder: Path) -> str:
-        """Return one value as a word of the command line."""
+    def _item(self, kind: Any, value: Any, folder: Path) -> Any:
+        """Return one value as the command line has it."""
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if kind is bool and isinstance(value, bool):
-            return str(value)
+            return value
         if (kind is int and is_number and isinstance(value, int)) or (kind is float and is_number):
-            return repr(value)
+            return value
         if isinstance(value, str) and not (isinstance(kind, type) and issubclass(kind, bool | int | float)):
             return os.path.join(folder, value) if self.is_path(value) else value
         if kind is str and self._has_numbers and (is_number or isinstance(value, list)):
@@ -212,42 +202,40 @@ class SettingsCommand(GroupedCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; those that are not given are taken from the settings file."""
-        line = _CommandLine.split(self.parameters.values(), args)
-        ctx.meta[_GIVEN] = given = _Given(line.names)
-        if {"-h", "--help", HELP_ALL}.isdisjoint(line.options) and line.settings_file is not None:
-            given.file = line.settings_file
-            found = self._read(given.file, ctx)
-            arguments = {one.name for one in self.parameters.values() if not one.options}
-            given.values = {k: v for k, v in found.items() if k in arguments or k not in line.names}
-            args = line.with_values(self.parameters, given)
+        if {"-h", "--help", HELP_ALL}.isdisjoint(args):
+            given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
+            if isinstance(file := given.get(SETTINGS_NAME), str):
+                stated = self._read(Path(file), ctx)
+                ctx.default_map = {n: v for n, v in stated.items() if not _is_given(given.get(n))}
         try:
             return super().parse_args(ctx, args)
         except typer.BadParameter as error:
-            name = getattr(getattr(error, "param", None), "name", None)
-            if given.file is None or name not in given.values:
+            name = str(getattr(getattr(error, "param", None), "name", None))
+            if name not in (ctx.default_map or {}):
                 raise
-            key, value = self.parameters[name].keys[0], given.values[name]
+            key, value = self.parameters[name].keys[0], ctx.default_map[name]
             reason = error.message.removeprefix("Value error, ").replace("Input should be", "must be")
-            raise InputError(f"{given.file}: {key} = {value!r}: {reason}") from None
+            raise InputError(f"{file}: {key} = {value!r}: {reason}") from None
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and write the settings into the folder of its results."""
-        given: _Given = ctx.meta[_GIVEN]
         try:
             result = super().invoke(ctx)
         except InputError as error:
             # Messages name an option as `--patch-mm` or by its parameter, `patch_mm`.
             named = set(re.findall(r"--[a-z][\w-]*|\b[a-z][a-z_]*(?= = )", str(error)))
-            set_here = [self.parameters[name] for name in given.values]
+            set_here = [self.parameters[name] for name in ctx.default_map or ()]
             found = [one.keys[0] for one in set_here if not named.isdisjoint({one.name, *one.options})]
             if found:
-                raise InputError(f"{error} ({', '.join(found)}: set in {given.file})") from error
+                raise InputError(
+                    f"{error} ({', '.join(found)}: set in {ctx.params[SETTINGS_NAME]})"
+                ) from error
             raise
         except typer.Exit as stop:
             if stop.exit_code in (0, 1):
-                self._write(ctx, given)
+                self._write(ctx)
             raise
-        self._write(ctx, given)
+        self._write(ctx)
         return result
 
     def _read(self, file: Path, ctx: Any) -> dict[str, Any]:
@@ -274,7 +262,7 @@ class SettingsCommand(GroupedCommand):
                 values[found.name] = value
         if faults:
             raise InputError("\n".join(f"{file}: {one}" for one in dict.fromkeys(faults)))
-        return values
+        return {name: self.parameters[name].converted(value, file.parent) for name, value in values.items()}
 
     def faults(self, table: Mapping[str, Any], folder: Path) -> list[str]:
         """Return what is wrong in the settings of a file: unknown keys, and values of another type."""
@@ -290,7 +278,7 @@ class SettingsCommand(GroupedCommand):
                 found.append(f"{key}: a file cannot set it; give it on the command line")
             else:
                 try:
-                    parameter.values_text(value, folder)
+                    parameter.converted(value, folder)
                 except ValueError as error:
                     found.append(f"{key} = {value!r}: {error}")
         if unknown:
@@ -300,7 +288,7 @@ class SettingsCommand(GroupedCommand):
     def _parameter(self, key: str) -> Parameter | None:
         return next((one for one in self.parameters.values() if key in one.keys), None)
 
-    def _write(self, ctx: Any, given: _Given) -> None:
+    def _write(self, ctx: Any) -> None:
         """Write the settings of this run into the folder of its results, if it has one."""
         folder = next(
             (ctx.params[one.name] for one in self.parameters.values() if one.is_output_folder), None
@@ -308,20 +296,21 @@ class SettingsCommand(GroupedCommand):
         if folder is None or not folder.is_dir():
             return
         with atomic_path(folder / SETTINGS_FILE) as temporary:
-            temporary.write_text(self._settings_text(ctx, given, folder), encoding="utf-8")
+            temporary.write_text(self._settings_text(ctx, folder), encoding="utf-8")
 
-    def _settings_text(self, ctx: Any, given: _Given, folder: Path) -> str:
+    def _settings_text(self, ctx: Any, folder: Path) -> str:
         """Return the settings of a run as a file for `--settings`."""
         from importlib.metadata import version
 
         import tomli_w
 
-        names = {*given.names, *given.values}
         tables: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
         for one in self.parameters.values():
             value = ctx.params.get(one.name)
             if one.is_settable and one.name != "as_json" and value is not None and value not in ([], ()):
-                tables[one.name not in names][one.keys[0]] = _stored(one, value, folder.resolve())
+                source = ctx.get_parameter_source(one.name).name
+                is_default = source == "DEFAULT" and one.name not in (ctx.default_map or {})
+                tables[is_default][one.keys[0]] = _stored(one, value, folder.resolve())
         (is_output,) = (one for one in self.parameters.values() if one.is_output_folder)
         repeat = f"{ctx.command_path} {SETTINGS_OPTION} {SETTINGS_FILE} {is_output.options[0]} FOLDER"
         return (
@@ -333,6 +322,11 @@ class SettingsCommand(GroupedCommand):
         )
 
 
+def _is_given(value: Any) -> bool:
+    """Return whether Click's parser found a value: it has a mark for arguments that are not given."""
+    return isinstance(value, bool) or (isinstance(value, str | tuple | list) and len(value) > 0)
+
+
 def _stored(parameter: Parameter, value: Any, folder: Path) -> Any:
     """Return the value of a parameter for a settings file in a folder."""
     if isinstance(value, list | tuple):
@@ -342,85 +336,3 @@ def _stored(parameter: Parameter, value: Any, folder: Path) -> Any:
     if isinstance(value, str | Path) and parameter.is_path(str(value)):
         return Path(os.path.relpath(Path(value).resolve(), folder)).as_posix()
     return value
-
-
-_GIVEN = "lensdesign.given_settings"
-"""Key under which the context of a command has what is given."""
-
-
-class _Given:
-    """Names of parameters on the command line, and the values that a settings file adds."""
-
-    def __init__(self, names: Collection[str]) -> None:
-        self.names = names
-        self.file: Path | None = None
-        self.values: dict[str, Any] = {}
-
-
-@dataclass(frozen=True)
-class _CommandLine:
-    """Words of a command line: options with their values, positional words, and names of the options."""
-
-    options: list[str]
-    positional: list[str]
-    names: frozenset[str]
-    settings_file: Path | None
-
-    @classmethod
-    def split(cls, parameters: Collection[Parameter], args: Sequence[str]) -> _CommandLine:
-        """Split the words after the name of a command."""
-        by_option = {text: one for one in parameters for text in (*one.options, *one.off_options)}
-        options, positional, names, file = list[str](), list[str](), set[str](), None
-        words = list(args)
-        while words:
-            word = words.pop(0)
-            if word == "--":
-                positional += words
-                break
-            if not word.startswith("-") or word == "-":
-                positional.append(word)
-                continue
-            is_long = word.startswith("--")
-            text, equals, attached = word.partition("=") if is_long else (word[:2], word[2:], word[2:])
-            found = by_option.get(text)
-            count = 0 if found is None or equals else found.value_count
-            options += [word, *words[:count]]
-            if found is not None:
-                names.add(found.name)
-                if SETTINGS_OPTION in found.options and (equals or words):
-                    file = Path(attached if equals else words[0])
-            del words[:count]
-        if positional:
-            names |= {one.name for one in parameters if not one.options}
-        return cls(options, positional, frozenset(names), file)
-
-    def with_values(self, parameters: Mapping[str, Parameter], given: _Given) -> list[str]:
-        """Return the words of the command line with the values of a settings file where nothing is given."""
-        assert given.file is not None
-        added = list[str]()
-        arguments = [one for one in parameters.values() if not one.options]
-        missing = [one for one in arguments if one.name not in given.values]
-        positional = list(self.positional)
-        # Either the command line has all arguments, or those that the file does not state.
-        if len(self.positional) == len(missing) < len(arguments):
-            remaining, positional = list(self.positional), []
-            for one in arguments:
-                value = given.values.get(one.name)
-                words = [remaining.pop(0)] if value is None else one.values_text(value, given.file.parent)
-                positional += words
-        for name, value in given.values.items():
-            one = parameters[name]
-            if one.options and name not in self.names:
-                added += _option_words(one, value, given.file.parent)
-        return [*added, *self.options, *(["--", *positional] if positional else [])]
-
-
-def _option_words(parameter: Parameter, value: Any, folder: Path) -> list[str]:
-    """Return an option with its value as words of the command line."""
-    option = max(parameter.options, key=len) if len(parameter.keys) == 1 else f"--{parameter.keys[0]}"
-    if parameter.is_flag:
-        return [option] if value else list(parameter.off_options[:1])
-    words = parameter.values_text(value, folder)
-    if get_origin(parameter.kind) is tuple:
-        return [option, *words]
-    return [f"{option}={word}" for word in words]

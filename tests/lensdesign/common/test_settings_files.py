@@ -116,9 +116,9 @@ def test_an_argument_that_the_file_states_is_left_out(write: Any, tmp_path: Path
     file = write("factor = -2.5\n")
     found = call("make", "mine.toml", "--settings", file, "-o", tmp_path / "out")
     assert (found["design"], found["factor"]) == (Path("mine.toml"), -2.5)
-    file = write('design = "lens.toml"\n')
-    found = call("make", "--settings", file, "-o", tmp_path / "out", "--", -3)
-    assert (found["design"], found["factor"]) == (tmp_path / "lens.toml", -3.0)
+    file = write('design = "lens.toml"\nfactor = 4\n')
+    found = call("make", "--settings", file, "-o", tmp_path / "out", "--", "mine.toml")
+    assert (found["design"], found["factor"]) == (Path("mine.toml"), 4.0)
 
 
 @pytest.mark.parametrize(
