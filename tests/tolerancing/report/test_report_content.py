@@ -236,6 +236,8 @@ def test_points_beside_the_models_are_yields_of_the_trials(loaded):
     data = data_of(loaded, scores[:, None], values)
     axis = next(b for b in scale_section(data) if isinstance(b, FigureBlock)).panels[0].figure.axes[0]
     share = 100.0 * np.mean(scores <= 4.83)
+    curve = next(line for line in axis.get_lines() if line.get_label() == "all limits")
+    assert np.interp(1.0, SCALES, curve.get_ydata()) == pytest.approx(share)
     for container in axis.containers:  # of the merit, and of all limits, which are this one
         point, _, (interval,) = container.lines
         assert point.get_xydata() == pytest.approx(np.array([[1.0, share]]))

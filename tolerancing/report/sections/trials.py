@@ -100,14 +100,18 @@ def scale_section(data: ReportData) -> list[Block]:
     models, unmodelled = _models(data)
     if not models:
         return [*blocks, Paragraph(f"Left out: {joined(unmodelled) or 'the store holds no trials'}.")]
-    values = data.results.values[_sample(len(data.results))]
+    sampled = _sample(len(data.results))
+    values, scores = data.results.values[sampled], data.results.scores[sampled]
     centre = np.array([p.distribution.centre for p in data.study.perturbations])
     passed_by_scale: dict[str, list[NDArray[np.bool_]]] = {label: [] for label in models}
     merits = {m.label: m for m in data.study.merits}
+    own_scores = dict(zip(merits, scores.T, strict=True))
+    unexplained = {label: own_scores[label] - m.predict(values)[:, 0] for label, m in models.items()}
     for scale in SCALES:
         scaled = centre + scale * (values - centre)
         for label, model in models.items():
-            passed_by_scale[label].append(merits[label].passed(model.predict(scaled)[:, 0]))
+            predicted = model.predict(scaled)[:, 0] + scale**3 * unexplained[label]
+            passed_by_scale[label].append(merits[label].passed(predicted))
     own = {row.merit.label: row.good for row in data.summary.merits}
     curves = [
         ScaleCurve(merit_label(merits[label]), np.mean(passed, axis=1), own[label])
@@ -121,8 +125,10 @@ def scale_section(data: ReportData) -> list[Block]:
     ]
     text = (
         "A second-order model of the trials predicts the scores of the same lenses with all deviations "
-        "multiplied by the factor. For factors above 1 the model is extrapolated. Trials without a score are "
-        f"not in the model. Cross-validated R²: {joined(qualities)}."
+        "multiplied by the factor. What it leaves of a trial's score is multiplied by the third power of the "
+        "factor, the first that the model omits, so that the yield at 1 is that of the trials. For factors "
+        "above 1 the model is extrapolated. Trials without a score are not in the model, and miss their "
+        f"limits. Cross-validated R²: {joined(qualities)}."
     )
     if unmodelled:
         text += f" Left out: {joined(unmodelled)}."
