@@ -251,8 +251,8 @@ MUTATIONS = (
     Mutation(
         "shot noise of half the electrons",
         "wavesim/sensor/camera_noise.py",
-        "electrons = random.poisson(np.minimum(electrons, 2.0 * full + 100.0)).astype(float)",
-        "electrons = 0.5 * random.poisson(2.0 * np.minimum(electrons, 2.0 * full + 100.0))",
+        "electrons = random.poisson(np.minimum(electrons, most)).astype(float)",
+        "electrons = 0.5 * random.poisson(2.0 * np.minimum(electrons, most))",
     ),
     Mutation(
         "top count 2^bits",

@@ -26,8 +26,8 @@ from typer.main import get_command
 from wavesim.metrics import comparison
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z-]+ .+")
-INLINE = re.compile(r"`((?:lensdesign|wavesim|tolerancing) [a-z-]+ [^`]+)`")
+COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z][a-z-]* .+")
+INLINE = re.compile(r"`((?:lensdesign|wavesim|tolerancing) [a-z][a-z-]* [^`]+)`")
 NAMED = re.compile(r"# (\w+\.toml)\n")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 

@@ -48,10 +48,10 @@ def _through(shape: type[Shape], count_of_terms: int) -> Any:
     def through(ray, after, work, z0, c, k, own, n1, ratio, limit, count):
         terms = first(own)
         for i in range(count):
-            t, _ = intersect_conic(
-                ray[X + i], ray[Y + i], ray[Z + i] - z0, ray[L + i], ray[M + i], ray[N + i], c, k
-            )
-            work[BLOCK + i] = t
+            z, dz = ray[Z + i] - z0, ray[N + i]
+            t, _ = intersect_conic(ray[X + i], ray[Y + i], z, ray[L + i], ray[M + i], dz, c, k)
+            # A ray that starts behind the conic's edge fails, and is traced alone.
+            work[BLOCK + i] = t if 1.0 - (1.0 + k) * c * (z + t * dz) > 0.0 else math.nan
         for _ in range(FIRST_STEPS):
             for i in range(count):
                 t, dx, dy, dz = work[BLOCK + i], ray[L + i], ray[M + i], ray[N + i]

@@ -126,7 +126,7 @@ def test_the_page_has_what_the_folder_has(tmp_path: Path) -> None:
     make_all(ELEMENTS, tmp_path, "quick", ["c"])
     page = write_pages(tmp_path, ELEMENTS).read_text(encoding="utf-8")
     assert "| a number | 3\u00a0mm | 2\u00a0mm | fewer rays |" in page
-    assert "| a number | 3\u00a0mm | 2\u00a0mm | no | [c](#c) |" in page
+    assert "| a number | 3\u00a0mm | 2\u00a0mm | no | [c](#c-an-element) |" in page
     assert "(Quick budget: rays 2.)" in page
     assert "![A line.](pictures/c.png)" in page
     assert "b: an element" not in page

@@ -246,6 +246,7 @@ def test_what_ifs_and_results_stay_and_old_figures_are_greyed(
     page.reload()
     page.get_by_role("button", name="Take it").wait_for()  # on the same tab, with the same result
     strip.wait_for()
+    page.get_by_role("img", name="goal against time").wait_for()
     assert page.get_by_role("img", name="goal against time").count() == 1
     tab("Lens")
     box = page.get_by_label("surface 2 semi-diameter, mm", exact=True)
