@@ -36,6 +36,20 @@ LARGEST_NONLINEARITY = 0.4
 """Largest magnitude of a camera's nonlinearity. The light increases with the counts below 0.5."""
 
 
+def validate_nonlinearity(value: float) -> None:
+    """Check the nonlinearity of a camera.
+
+    Raises
+    ------
+    InputError
+        If its magnitude exceeds `LARGEST_NONLINEARITY`.
+    """
+    if not -LARGEST_NONLINEARITY <= value <= LARGEST_NONLINEARITY:
+        raise InputError(
+            f"nonlinearity = {value!r}: must be from {-LARGEST_NONLINEARITY:g} to {LARGEST_NONLINEARITY:g}"
+        )
+
+
 class SensorPose(NamedTuple):
     """Deviation of the sensor from its nominal position on one plane.
 
@@ -150,11 +164,7 @@ class SystemState:
         errors = self.plane_exposure_errors
         if not all(-1.0 < error < math.inf for error in errors):
             raise InputError(f"plane_exposure_errors = {errors!r}: must be finite, and above -1")
-        if not -LARGEST_NONLINEARITY <= self.nonlinearity <= LARGEST_NONLINEARITY:
-            raise InputError(
-                f"nonlinearity = {self.nonlinearity!r}: must be from {-LARGEST_NONLINEARITY:g} to "
-                f"{LARGEST_NONLINEARITY:g}"
-            )
+        validate_nonlinearity(self.nonlinearity)
 
     def sensor_pose(self, index: int) -> SensorPose:
         """Return the deviation of the sensor's position on a plane; `index` counts planes from 0."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from wavesim.scene.system_state import LARGEST_NONLINEARITY
+from wavesim.scene.system_state import validate_nonlinearity
 
 LEAST_HOT = 0.1
 """Least dark signal of a hot pixel, as a fraction of full well; the largest is full well."""
@@ -91,11 +91,7 @@ class PixelErrors:
         for name, limit in (("prnu", 1.0), ("dsnu_electrons", math.inf)):
             if not 0.0 <= getattr(self, name) < limit:
                 raise InputError(f"{name} = {getattr(self, name)!r}: must be from 0 to below {limit:g}")
-        if not -LARGEST_NONLINEARITY <= self.nonlinearity <= LARGEST_NONLINEARITY:
-            raise InputError(
-                f"nonlinearity = {self.nonlinearity!r}: must be from {-LARGEST_NONLINEARITY:g} to "
-                f"{LARGEST_NONLINEARITY:g}"
-            )
+        validate_nonlinearity(self.nonlinearity)
         if not (min(self.hot_share, self.dead_share) >= 0.0 and self.hot_share + self.dead_share <= 1.0):
             raise InputError(
                 f"hot_share = {self.hot_share!r}, dead_share = {self.dead_share!r}: must be fractions of "
