@@ -16,7 +16,8 @@ import numpy as np
 
 from lensdesign import launch, load_design, pupil_hexapolar, trace
 from lensdesign.analysis import largest_spread_angle
-from tolerancing.report.figures.style import BLUE, GREEN, GREY, ORANGE, RED, styled
+from lensdesign.plots.style import BLUE, GREEN, GREY, ORANGE, RED
+from tolerancing.report.figures.style import chart_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +34,7 @@ def space_bandwidth(picture: Path) -> None:
     field_mm, aperture = lens.object.field_diameter_mm, lens.object.numerical_aperture
     limit = 0.5e-3 * lens.wavelengths_um[0] / (1e-3 * lens.sensor.pixel_pitch_um)
     side_mm = 1e-3 * lens.sensor.pixel_pitch_um * min(lens.sensor.pixels)
-    with styled():
+    with chart_style():
         figure = _figure(7.6, 2.9)
         left, right = figure.subplots(1, 2, sharey=True)
         for axes, title, width, height, colour in (
@@ -57,7 +58,7 @@ def spread_limit(picture: Path) -> None:
     """Fringes of two waves on the pixels, at the limit and beyond it."""
     across = np.linspace(0.0, 16.0, 1601)
     pixels = np.arange(16)
-    with styled():
+    with chart_style():
         figure = _figure(7.6, 2.9)
         for axes, factor, title in zip(
             figure.subplots(1, 2, sharey=True),
@@ -82,7 +83,7 @@ def no_image(picture: Path) -> None:
     """Where the rays of three object points meet the two planes of the sensor."""
     lens = load_design(PAPER)
     heights = (0.0, 0.75, 1.5)
-    with styled():
+    with chart_style():
         figure = _figure(7.6, 3.6)
         for axes, distance_mm in zip(
             figure.subplots(1, 2, sharey=True), lens.sensor.plane_distances_mm, strict=True
@@ -125,7 +126,7 @@ def two_planes(picture: Path) -> None:
     y_mm = grid.y_mm
     amplitude = np.exp(-((y_mm / 0.25) ** 2)) * (1.0 + 0.3 * np.cos(2.0 * np.pi * y_mm / 0.12))
     waves = 2.0 * np.pi / 0.532e-3
-    with styled():
+    with chart_style():
         figure = _figure(7.6, 2.9)
         first, second = figure.subplots(1, 2, sharey=True)
         for name, curvature, colour, dashes in (
@@ -147,7 +148,7 @@ def two_planes(picture: Path) -> None:
 
 def spread_over_field(picture: Path) -> None:
     """The spread of the start, a plate, beside those of two lenses that were found."""
-    with styled():
+    with chart_style():
         figure = _figure(6.4, 3.2)
         axes = figure.subplots()
         for name, words, colour in (
@@ -160,7 +161,7 @@ def spread_over_field(picture: Path) -> None:
             axes.plot(found.field_heights_mm, found.per_field_deg, ".-", color=colour, label=words)
         axes.axhline(4.7682, color=RED, lw=1.0)
         axes.text(0.01, 4.773, "limit of the sensor", color=RED, va="bottom")
-        axes.set(xlabel="height of the object point (mm)", ylabel="largest spread (deg)")
+        axes.set(xlabel="height of the object point (mm)", ylabel="largest spread (°)")
         axes.legend()
         _save(figure, picture)
 

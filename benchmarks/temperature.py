@@ -41,12 +41,12 @@ def main() -> None:
     found = {name: table(lens) for name, lens in lenses().items()}
     for name, rows in found.items():
         heights = " and ".join(f"{height:g} mm" for height in HEIGHTS_MM)
-        print(f"{name}: focal length (mm), largest spread (deg), waves rms at {heights} refocused, and not")
+        print(f"{name}: focal length (mm), largest spread (°), waves rms at {heights} refocused, and not")
         for temperature, row in zip(TEMPERATURES_C, rows, strict=True):
             print(f"{temperature:4g} C  " + "  ".join(f"{value:8.4f}" for value in row))
     if output is not None:
         draw(found, output)
-    print("thinnest lens: thickness (mm); largest spread (deg) and footprint (mm) at 0 and 50 C; seconds")
+    print("thinnest lens: thickness (mm); largest spread (°) and footprint (mm) at 0 and 50 C; seconds")
     for glass in ("N-BK7", PLASTIC, "PMMA"):
         for words, environment in (("20 C", None), ("0 to 50 C", Environment(temperatures_c=(0.0, 50.0)))):
             print(f"{glass:6} for {words:9}  {thinnest(glass, environment)}")
@@ -93,9 +93,10 @@ def table(lens: Lens) -> NDArray[np.float64]:
 
 def draw(found: dict[str, NDArray[np.float64]], output: Path) -> None:
     """Wavefront errors against temperature."""
-    from tolerancing.report.figures.style import SERIES, styled, styled_figure, write_figure
+    from lensdesign.plots.style import SERIES, styled_figure
+    from tolerancing.report.figures.style import chart_style, write_figure
 
-    with styled():
+    with chart_style():
         figure = styled_figure(6.4, 3.2)
         axis = figure.subplots()
         for (name, rows), color in zip(found.items(), SERIES, strict=False):

@@ -12,18 +12,8 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.plots.saving import save_figure
-from tolerancing.report.figures.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    RED,
-    SERIES,
-    VIOLET,
-    styled,
-    styled_figure,
-)
+from lensdesign.plots.style import BLUE, GREEN, GREY, INK, ORANGE, RED, SERIES, VIOLET, styled_figure
+from tolerancing.report.figures.style import chart_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,10 +29,10 @@ __all__ = [
     "RED",
     "SERIES",
     "VIOLET",
+    "chart_style",
     "faint_panel",
     "panel",
     "scale_bar",
-    "styled",
     "styled_figure",
     "write_picture",
 ]
@@ -142,7 +132,7 @@ def _packed(figure: Figure, dots_per_inch: int) -> bytes:
     from PIL import Image
 
     drawn, packed = BytesIO(), BytesIO()
-    with styled():
+    with chart_style():
         save_figure(figure, drawn, "png", dots_per_inch)
     picture = Image.open(drawn).convert("RGB")
     few = picture.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)

@@ -10,19 +10,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lensdesign.common.atomic_files import atomic_path
-from lensdesign.common.text import visible
+from lensdesign.common.text import unit_symbol, visible
 from lensdesign.exploration.front import ExploredPoint, front_of
 from lensdesign.exploration.objectives import Axis, Objective
-from lensdesign.plots.charts import INK, label_axes, white_figure
+from lensdesign.plots.charts import label_axes
 from lensdesign.plots.plots import write_figure
+from lensdesign.plots.style import SERIES, in_style, styled_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLORS = ("#0B6E99", "#B5651D", "#4B7F52", "#7D4E9E", "#8A8A8A", "#B23A63")
 WIDTH, HEIGHT, MARGIN = 860, 520, 96
 
 
+@in_style
 def front_figure(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> Figure:
     """Plot the front over its first and last objective, by glass; dominated lenses are pale.
 
@@ -33,23 +34,22 @@ def front_figure(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> Fig
     axes
         Objectives.
     """
-    figure = white_figure((7.6, 4.8))
+    figure = styled_figure(7.6, 4.8)
     plot = figure.add_subplot()
     abscissa, ordinate = axes[0].objective, axes[-1].objective
     front = {one.key for one in front_of(explored, axes)}
     lenses = [one for one in explored if one.lens is not None]
     for index, glasses in enumerate(dict.fromkeys(one.glasses for one in lenses)):
-        color = COLORS[index % len(COLORS)]
+        color = SERIES[index % len(SERIES)]
         for on_front, alpha, label in ((False, 0.25, None), (True, 1.0, visible(glasses))):
             own = [one for one in lenses if one.glasses == glasses and (one.key in front) == on_front]
             columns = (abscissa.column, ordinate.column)
             points = np.array([[one.values[c] for c in columns] for one in own]).reshape(-1, 2)
             plot.plot(*points.T, "o", color=color, alpha=alpha, ms=5.0, label=label if len(own) else None)
-    plot.grid(color="#E4E4E4", lw=0.6)
-    plot.set_axisbelow(True)
+    plot.grid(True)
     label_axes(plot, axis_label(abscissa), axis_label(ordinate))
-    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    figure.suptitle("Pareto front", fontsize=10.0, color=INK)
+    figure.legend(loc="outside lower center", ncols=4)
+    figure.suptitle("Pareto front")
     return figure
 
 
@@ -57,7 +57,7 @@ def axis_label(objective: Objective) -> str:
     """Return an objective in words, with its unit and the better direction."""
     words = {"na": "numerical aperture", "as_built_rms": "as-built rms"}
     name = words.get(objective.name, objective.name.replace("_", " "))
-    unit = f" ({objective.unit})" if objective.unit else ""
+    unit = f" ({unit_symbol(objective.unit)})" if objective.unit else ""
     return f"{name}{unit}, {'larger' if objective.larger_is_better else 'smaller'} is better"
 
 
@@ -82,7 +82,7 @@ def front_page(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> str:
     elements = [*x.lines(vertical=True), *y.lines(vertical=False)]
     for one in sorted(lenses, key=lambda one: one.key in front):
         tooltip = html.escape("\n".join([visible(one.key), *(f"{c} = {one.values[c]:.5g}" for c in columns)]))
-        color = COLORS[glasses.index(one.glasses) % len(COLORS)]
+        color = SERIES[glasses.index(one.glasses) % len(SERIES)]
         shade = 1.0 if one.key in front else 0.25
         elements.append(
             f'<circle cx="{x(one.values[across]):.1f}" cy="{y(one.values[up]):.1f}" r="6" fill="{color}" '
@@ -97,7 +97,7 @@ def front_page(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> str:
         f"{html.escape(names[1])}</text>"
     )
     key = " ".join(
-        f'<span style="color:{COLORS[n % len(COLORS)]}">&#9679;</span> {html.escape(visible(g))}'
+        f'<span style="color:{SERIES[n % len(SERIES)]}">&#9679;</span> {html.escape(visible(g))}'
         for n, g in enumerate(glasses)
     )
     rows = "".join(

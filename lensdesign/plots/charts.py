@@ -11,17 +11,16 @@ from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.analysis.space_bandwidth import spread_limit_sine
 from lensdesign.common.text import visible
 from lensdesign.lens.lens import Lens
+from lensdesign.plots.style import INK, RED, in_style, styled_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, BEYOND = "#333333", "#C1121F"
-"""Colours of items without a field height, and of values beyond a limit; they differ from field colours."""
-
 TITLE_POINTS = 10.0
 
 
+@in_style
 def spread_figure(lens: Lens) -> Figure:
     """Plot the largest spread angle of each field height over the whole stop, and the sensor's limit (Eq. 2).
 
@@ -38,7 +37,7 @@ def spread_figure(lens: Lens) -> Figure:
     DesignError
         If no ray passes at one of the wavelengths.
     """
-    figure = white_figure((7.6, 4.6))
+    figure = styled_figure(7.6, 4.6)
     axes = figure.add_subplot()
     wavelengths = sorted(lens.wavelengths_um, reverse=True)
     largest, beyond = 0.0, []
@@ -52,8 +51,6 @@ def spread_figure(lens: Lens) -> Figure:
             marker=markers[index % len(markers)],
             color=color,
             zorder=3,
-            ms=3.5,
-            lw=1.4,
             label=f"{wavelength:.4g} µm: up to {spread.spread_deg:.3f}°",
         )
         limit = math.degrees(math.asin(sine)) if sine < 1.0 else 0.0
@@ -63,23 +60,15 @@ def spread_figure(lens: Lens) -> Figure:
             heights = zip(spread.field_heights_mm, spread.per_field_deg, strict=True)
             beyond += [point for point in heights if point[1] > limit]
     if beyond:
-        rings: dict[str, Any] = {"color": BEYOND, "ms": 9.0, "mew": 1.4, "mfc": "none", "zorder": 4}
+        rings: dict[str, Any] = {"color": RED, "ms": 9.0, "mew": 1.4, "mfc": "none", "zorder": 4}
         axes.plot(*zip(*beyond, strict=True), "o", label="beyond the limit", **rings)
     axes.set_xlim(-0.03 * lens.half_field_mm, 1.03 * lens.half_field_mm)
     axes.set_ylim(0.0, 1.12 * largest)
-    axes.grid(color="#E4E4E4", lw=0.6)
-    axes.set_axisbelow(True)
-    label_axes(axes, "field height (mm)", "largest spread angle (deg)")
+    axes.grid(True)
+    label_axes(axes, "field height (mm)", "largest spread angle (°)")
     title_figure(figure, lens, f"Spread behind the lens; pixels of {lens.sensor.pixel_pitch_um:g} µm")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=3)
     return figure
-
-
-def white_figure(size_inches: tuple[float, float]) -> Figure:
-    """Return an empty white figure with automatic layout."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=size_inches, layout="constrained", facecolor="white")
 
 
 def lens_name(lens: Lens, inches: float) -> str:
@@ -113,9 +102,9 @@ def text_inches(text: str, points: float, is_math: bool = False) -> tuple[float,
 
 def label_axes(axes: Axes, x: str, y: str) -> None:
     """Label both axes, and let ticks point inside."""
-    axes.set_xlabel(x, fontsize=9)
-    axes.set_ylabel(y, fontsize=9)
-    axes.tick_params(labelsize=8, direction="in")
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.tick_params(direction="in")
 
 
 def _colors(count: int) -> Sequence[str | tuple[float, ...]]:

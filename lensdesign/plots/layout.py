@@ -18,6 +18,7 @@ from lensdesign.common.text import round_number_below
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, glass_elements
 from lensdesign.plots.charts import TITLE_POINTS, lens_name, text_inches
+from lensdesign.plots.style import GLASS, GREY, INK, PAPER, in_style
 from lensdesign.raytrace.bundles import pupil_fan
 from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, ray_paths, sized_lens
 
@@ -30,7 +31,6 @@ THIN, THICK = 0.8, 2.0
 """Line widths in points of outlines and rays, and of planes, ground edges and scale bar."""
 
 LABEL_POINTS = 8.0
-_GLASS, _INK, _FAINT, _PAPER = "#CFE3F1", "#333333", "#8A8A8A", "#FFFFFF"
 
 _MARGINS_INCHES = {"left": 0.38, "right": 0.08, "bottom": 0.86, "top": 0.34}
 """Margins for axis labels, legend and title; on the left, tick labels need additional space."""
@@ -58,6 +58,7 @@ class _Label:
     is_math: bool = False
 
 
+@in_style
 def layout_figure(lens: Lens) -> Figure:
     """Plot the meridional section with rays of three fields, object, sensor planes, stop, scale (Fig. 2b).
 
@@ -109,16 +110,16 @@ def _figure(frame: _Frame, rows_above: float, rows_below: float) -> tuple[Figure
     m = _MARGINS_INCHES
     left = m["left"] + max(text_inches(text, LABEL_POINTS)[0] for text in at_y.values())
     outer = inner + np.array([left + m["right"], m["bottom"] + m["top"]])
-    figure = Figure(figsize=tuple(outer), facecolor=_PAPER)
+    figure = Figure(figsize=tuple(outer), facecolor=PAPER)
     axes = figure.add_axes((left / outer[0], m["bottom"] / outer[1], *(inner / outer)))
     axes.set_aspect("equal")
     low, high = np.array([-frame.reach, frame.reach]) + frame.scale * bands * [-1.0, 1.0]
     axes.set(xlim=(frame.left, frame.right), ylim=(low, high))
-    axes.set_xlabel("z (mm)", fontsize=9)
-    axes.set_ylabel("y (mm)", fontsize=9)
+    axes.set_xlabel("z (mm)")
+    axes.set_ylabel("y (mm)")
     axes.set_xticks([*at_z], [*at_z.values()])
     axes.set_yticks([*at_y], [*at_y.values()])
-    axes.tick_params(labelsize=LABEL_POINTS, direction="in")
+    axes.tick_params(direction="in")
     return figure, axes
 
 
@@ -239,10 +240,10 @@ def _stop_rim(lens: Lens) -> tuple[float, float]:
 def _draw_glass(axes: Axes, elements: Sequence[Element]) -> None:
     for element in elements:
         outline = element.outline()
-        axes.fill(*_mirrored(outline).T, facecolor=_GLASS, edgecolor=_INK, lw=THIN, zorder=2)
+        axes.fill(*_mirrored(outline).T, facecolor=GLASS, edgecolor=INK, lw=THIN, zorder=2)
         edge = outline[outline[:, 0] >= element.edge_mm]
         for sign in (1.0, -1.0):
-            axes.plot(edge[:, 1], sign * edge[:, 0], color=_INK, lw=THICK, solid_capstyle="butt", zorder=5)
+            axes.plot(edge[:, 1], sign * edge[:, 0], color=INK, lw=THICK, solid_capstyle="butt", zorder=5)
 
 
 def _mirrored(outline: Array) -> Array:
@@ -282,13 +283,13 @@ def _draw_stop(axes: Axes, lens: Lens, frame: _Frame) -> None:
 
 def _draw_planes(axes: Axes, lens: Lens, frame: _Frame) -> None:
     """Draw the object, the sensor planes and the axis."""
-    line: dict[str, Any] = {"color": _INK, "lw": THICK, "solid_capstyle": "butt", "zorder": 4}
+    line: dict[str, Any] = {"color": INK, "lw": THICK, "solid_capstyle": "butt", "zorder": 4}
     half = max(lens.half_field_mm, frame.scale / 72.0)
     axes.plot([lens.object_z_mm] * 2, [-half, half], **line)
     half = 0.5 * lens.sensor.size_mm[1]
     for z in lens.sensor_z_mm:
         axes.plot([z, z], [-half, half], **line)
-    axes.plot([lens.object_z_mm, lens.sensor_z_mm[-1]], [0.0, 0.0], "-.", color=_FAINT, lw=THIN, zorder=0)
+    axes.plot([lens.object_z_mm, lens.sensor_z_mm[-1]], [0.0, 0.0], "-.", color=GREY, lw=THIN, zorder=0)
     axes.annotate(
         _object_name(lens),
         (lens.object_z_mm, 0.0),
@@ -307,7 +308,7 @@ def _draw_labels(axes: Axes, rows: Sequence[Any], frame: _Frame, sign: float) ->
         y = near + sign * frame.scale * _ROW_INCHES * (index + 0.5)
         for label, middle in row:
             ends = [label.y, sign * frame.reach, near, y]
-            axes.plot([label.z, label.z, middle, middle], ends, ":", color=_FAINT, lw=THIN, zorder=1)
+            axes.plot([label.z, label.z, middle, middle], ends, ":", color=GREY, lw=THIN, zorder=1)
             axes.text(
                 middle,
                 y,
@@ -316,7 +317,7 @@ def _draw_labels(axes: Axes, rows: Sequence[Any], frame: _Frame, sign: float) ->
                 va="center",
                 fontsize=LABEL_POINTS,
                 parse_math=label.is_math,
-                bbox={"facecolor": _PAPER, "edgecolor": "none", "pad": 0.5},
+                bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 0.5},
                 zorder=7,
             )
 
@@ -332,7 +333,7 @@ def _draw_title(figure: Figure, lens: Lens) -> None:
 def _draw_scale_bar(axes: Axes, frame: _Frame) -> None:
     bar = round_number_below(1.4 * frame.scale)
     left, y = frame.left + 0.15 * frame.scale, axes.get_ylim()[0] + 0.1 * frame.scale
-    axes.plot([left, left + bar], [y, y], color=_INK, lw=THICK, solid_capstyle="butt")
+    axes.plot([left, left + bar], [y, y], color=INK, lw=THICK, solid_capstyle="butt")
     axes.annotate(
         f"{bar:g} mm",
         (left + 0.5 * bar, y),

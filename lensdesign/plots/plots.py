@@ -21,10 +21,11 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.plots.charts import BEYOND, INK, label_axes, spread_figure, title_figure, white_figure
+from lensdesign.plots.charts import label_axes, spread_figure, title_figure
 from lensdesign.plots.layout import layout_figure
 from lensdesign.plots.saving import save_figure
 from lensdesign.plots.scene3d import RenderingError, render_lens
+from lensdesign.plots.style import GREY, INK, RED, in_style, styled, styled_figure
 from lensdesign.plots.surface_figures import surface_figure_map
 from lensdesign.raytrace.bundles import launch, pupil_hexapolar
 from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS
@@ -108,15 +109,14 @@ def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
 
     Text in SVG stays text, so that a journal can set it in its own font.
     """
-    from matplotlib import rc_context
-
     form = Path(path).suffix.lower().removeprefix(".")
     if form not in PICTURE_FORMATS:
         raise InputError(f"cannot write {path}: allowed suffixes are .{', .'.join(PICTURE_FORMATS)}")
-    with atomic_path(path) as temporary, rc_context({"svg.hashsalt": "transferlens", "svg.fonttype": "none"}):
+    with atomic_path(path) as temporary, styled({"svg.fonttype": "none"}):
         save_figure(figure, temporary, form, DOTS_PER_INCH, metadata={"Date": None})
 
 
+@in_style
 def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -> Figure:
     """Plot spot diagrams of three field heights, with the outline of the sensor (Fig. 2c).
 
@@ -137,16 +137,15 @@ def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -
     if plane_distances_mm is None:
         plane_distances_mm = planes if len(planes) == 1 else (planes[0], planes[-1])
     rows, width, height = len(plane_distances_mm), *lens.sensor.size_mm
-    figure = white_figure((9.6, 0.8 + 0.7 * rows + 2.7 * rows * min(1.5, max(0.5, height / width))))
+    figure = styled_figure(9.6, 0.8 + 0.7 * rows + 2.7 * rows * min(1.5, max(0.5, height / width)))
     panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
     reach = np.array([0.5 * width, 0.5 * height])
     for row, distance_mm in zip(panels, plane_distances_mm, strict=True):
         for axes, fraction, color in zip(row, FIELD_FRACTIONS, FIELD_COLORS, strict=True):
             reach = np.maximum(reach, _draw_spot(axes, lens, fraction, color, distance_mm))
-        row[0].set_ylabel(f"{distance_mm:g} mm behind the exit vertex\ny (mm)", fontsize=9)
+        row[0].set_ylabel(f"{distance_mm:g} mm behind the exit vertex\ny (mm)")
     for axes in panels.ravel():
         axes.set_aspect("equal")
-        axes.spines[:].set_color("#C8CDD2")  # so that the sensor's outline stands out
         axes.set(xlim=1.06 * reach[0] * np.array([-1.0, 1.0]), ylim=1.06 * reach[1] * np.array([-1.0, 1.0]))
     light = f"{lens.wavelengths_um[0]:.4g} µm; frame: the sensor, {width:.4g} mm × {height:.4g} mm"
     title_figure(figure, lens, f"Spots on the sensor, {light}")
@@ -175,6 +174,7 @@ def _draw_spot(axes: Axes, lens: Lens, fraction: float, color: str, distance_mm:
     return np.asarray(np.max(np.abs(points), axis=0, initial=0.0))
 
 
+@in_style
 def incidence_figure(
     lens: Lens,
     sensor_points_mm: Sequence[tuple[float, float]] | None = None,
@@ -202,7 +202,7 @@ def incidence_figure(
     reach = 1.12 * max(math.degrees(math.asin(limit_sine)), largest)
     columns = min(4, len(arrivals))
     rows = math.ceil(len(arrivals) / columns)
-    figure = white_figure((2.6 * columns + 0.6, 3.1 * rows + 0.9))
+    figure = styled_figure(2.6 * columns + 0.6, 3.1 * rows + 0.9)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes in panels[len(arrivals) :]:
         axes.remove()
@@ -210,7 +210,7 @@ def incidence_figure(
         _draw_arrivals(axes, arrival, limit_sine)
         axes.set_aspect("equal")
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-        label_axes(axes, r"$\theta_x$ (deg)", r"$\theta_y$ (deg)")
+        label_axes(axes, r"$\theta_x$ (°)", r"$\theta_y$ (°)")
         axes.label_outer()
     handles: dict[str, Any] = {}
     for axes in panels[: len(arrivals)]:
@@ -220,8 +220,6 @@ def incidence_figure(
         handles.keys(),
         loc="outside lower center",
         ncols=3,
-        frameon=False,
-        fontsize=9,
         markerscale=2,
     )
     light = f"{wavelength_um:.4g} µm, {plane_distance_mm:g} mm behind the exit vertex"
@@ -237,14 +235,14 @@ def _draw_arrivals(axes: Axes, arrival: ArrivalAngles, limit_sine: float) -> Non
     axes.plot(*limit_deg, color=INK, lw=1.0, label=label)
     points = arrival.angles_deg[arrival.ok]
     within = np.hypot(*arrival.cosines[arrival.ok].T) <= limit_sine
-    axes.plot(*points[within].T, "o", color="#7A8793", ms=1.8, mew=0.0, label="within the limit")
+    axes.plot(*points[within].T, "o", color=GREY, ms=1.8, mew=0.0, label="within the limit")
     if not np.all(within):
-        axes.plot(*points[~within].T, "D", color=BEYOND, ms=2.6, mew=0.0, label="beyond the limit")
+        axes.plot(*points[~within].T, "D", color=RED, ms=2.6, mew=0.0, label="beyond the limit")
     x, y = arrival.sensor_point_mm
     note = "no light arrives"
     if np.any(arrival.ok):
         note = f"up to {arrival.largest_deg:.2f}°, {100.0 * arrival.fraction:.0f} % of the field"
-    axes.set_title(f"({x:g}, {y:g}) mm\n{note}", fontsize=9)
+    axes.set_title(f"({x:g}, {y:g}) mm\n{note}")
 
 
 def _length(value_mm: float) -> str:

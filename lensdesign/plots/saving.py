@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import IO, TYPE_CHECKING, Any
 
+from lensdesign.plots.style import styled
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -31,7 +33,8 @@ def save_figure(
         Options of ``savefig`` for formats other than PNG.
     """
     if form != "png":
-        figure.savefig(path, format=form, dpi=dots_per_inch, **options)
+        with styled():  # Ticks take their style when they are drawn.
+            figure.savefig(path, format=form, dpi=dots_per_inch, **options)
         return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
@@ -40,10 +43,11 @@ def save_figure(
     try:
         figure.dpi = dots_per_inch
         agg = FigureCanvasAgg(figure)
-        if layout is not None:
-            layout.execute(figure)
-            figure.set_layout_engine("none")
-        agg.draw()
+        with styled():
+            if layout is not None:
+                layout.execute(figure)
+                figure.set_layout_engine("none")
+            agg.draw()
         picture = Image.frombuffer("RGBA", agg.get_width_height(), agg.buffer_rgba()).convert("RGB")
     finally:
         figure.dpi = previous_dpi

@@ -11,12 +11,14 @@ from lensdesign.errors import InputError
 from lensdesign.files.surface_figures import surface_figure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
-from lensdesign.plots.charts import label_axes, title_figure, white_figure
+from lensdesign.plots.charts import label_axes, title_figure
+from lensdesign.plots.style import in_style, styled_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@in_style
 def surface_figure_map(lens: Lens, surface: int) -> Figure:
     """Plot the sag-error map of a measured surface without piston and tilt, with PV and RMS (Fig. 2g).
 
@@ -45,13 +47,12 @@ def surface_figure_map(lens: Lens, surface: int) -> Figure:
     values = np.full(x.shape, np.nan)
     values[inside] = waves - fitted(waves, points, weights, "tilt") @ terms(points, "tilt")
     pv, rms = pv_rms_waves(figure, semi, "tilt")
-    picture = white_figure((5.6, 4.6))
+    picture = styled_figure(5.6, 4.6)
     axes = picture.add_subplot()
     image = axes.imshow(values, origin="lower", extent=(-semi, semi, -semi, semi), cmap="turbo")
     bar = picture.colorbar(image, ax=axes, shrink=0.9)
-    bar.set_label(rf"sag error (waves, $\lambda$ = {1e3 * TEST_WAVELENGTH_UM:.1f} nm)", fontsize=9)
-    bar.ax.tick_params(labelsize=8)
+    bar.set_label(rf"sag error (waves, $\lambda$ = {1e3 * TEST_WAVELENGTH_UM:.1f} nm)")
     label_axes(axes, "x (mm)", "y (mm)")
-    axes.set_title(rf"Surface {surface + 1}: PV {pv:.3f} $\lambda$, RMS {rms:.3f} $\lambda$", fontsize=10)
+    axes.set_title(rf"Surface {surface + 1}: PV {pv:.3f} $\lambda$, RMS {rms:.3f} $\lambda$")
     title_figure(picture, lens)
     return picture

@@ -31,6 +31,7 @@ from reportlab.platypus import (
 from reportlab.platypus import Paragraph as PdfParagraph
 from reportlab.platypus import Table as PdfTable
 
+from lensdesign.plots.style import BLUE, FAINT, GRID, INK, ORANGE, RED
 from tolerancing.report.blocks import (
     Block,
     Cell,
@@ -47,7 +48,6 @@ from tolerancing.report.blocks import (
     cut,
     plain,
 )
-from tolerancing.report.figures.style import BLUE, EDGE, GRID, INK, ORANGE, RED
 
 MARGIN, HEAD = 15 * mm, 9 * mm
 WIDTH = A4[0] - 2 * MARGIN
@@ -418,7 +418,7 @@ def _grid(block: Table, cells: list[list[Cell]]) -> LongTable:
         TableStyle(
             [
                 ("BACKGROUND", (0, 0), (-1, 0), PALE),
-                ("LINEBELOW", (0, 0), (-1, 0), 0.8, HexColor(EDGE)),
+                ("LINEBELOW", (0, 0), (-1, 0), 0.8, HexColor(FAINT)),
                 ("LINEBELOW", (0, 1), (-1, -1), 0.4, HexColor(GRID)),
                 ("VALIGN", (0, 0), (-1, 0), "BOTTOM"),
                 ("VALIGN", (0, 1), (-1, -1), "TOP"),

@@ -6,15 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lensdesign.common.text import number_with_unit
+from lensdesign.plots.style import BLUE, GREY, ORANGE, in_style, styled_figure
 from wavesim.calibration.calibration_result import Calibrated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LINE, BEST, NOISE = "#1f5fa8", "#b3202c", "#666666"
 
-
+@in_style
 def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
     """Draw misfit and parameters of all tested benches.
 
@@ -25,16 +26,14 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
     noise
         Misfit that noise alone causes, drawn as a dashed line.
     """
-    from matplotlib.figure import Figure
-
     if found.deviations is not None and found.typical is not None:
-        figure = Figure(figsize=(8.0, 2.8 + 0.26 * len(found.parameters)), layout="constrained")
+        figure = styled_figure(8.0, 2.8 + 0.26 * len(found.parameters))
         above, below = figure.subplots(2, height_ratios=[1.0, 0.12 * len(found.parameters) + 0.2])
         _draw_misfits(above, found, noise)
         _draw_values(below, found)
         return figure
     rows = 1 + (len(found.parameters) + 1) // 2
-    figure = Figure(figsize=(8.0, 2.0 * rows), layout="constrained")
+    figure = styled_figure(8.0, 2.0 * rows)
     cells = figure.add_gridspec(rows, 2)
     above = figure.add_subplot(cells[0, :])
     _draw_misfits(above, found, noise)
@@ -42,28 +41,28 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
     for k, name in enumerate(found.parameters):
         axes = figure.add_subplot(cells[1 + k // 2, k % 2], sharex=above)
         label, unit, factor = _label_and_unit(name)
-        axes.plot(steps, [factor * values[k] for values, _ in found.trail], ".-", color=LINE, lw=0.8)
+        axes.plot(steps, [factor * values[k] for values, _ in found.trail], ".-", color=BLUE, lw=0.8)
         value = factor * found.values[k]
-        axes.axhline(value, color=BEST, lw=0.8)
+        axes.axhline(value, color=ORANGE, lw=0.8)
         axes.set_ylabel(f"{label} ({unit})" if unit else label)
-        axes.set_title(f"estimate: {value:.3f} {unit}".rstrip(), fontsize=9, color=BEST)
-        axes.grid(alpha=0.25)
+        axes.set_title(number_with_unit(f"estimate: {value:.3f}", unit), fontsize=9, color=ORANGE)
+        axes.grid(True)
         axes.set_xlabel("tested bench" if k >= len(found.parameters) - 2 else "")
     return figure
 
 
 def _draw_misfits(axes: Axes, found: Calibrated, noise: float | None) -> None:
     misfits = np.array([misfit for _, misfit in found.trail])
-    axes.plot(np.arange(1, len(misfits) + 1), misfits, ".-", color=LINE, lw=0.8)
+    axes.plot(np.arange(1, len(misfits) + 1), misfits, ".-", color=BLUE, lw=0.8)
     axes.set_yscale("log" if misfits.max() > 5.0 * misfits.min() else "linear")
     axes.set_ylabel("misfit of amplitudes")
     axes.set_xlabel("tested bench")
-    axes.grid(alpha=0.25)
+    axes.grid(True)
     if noise is not None:
-        axes.axhline(noise, color=NOISE, lw=0.8, ls="--")
+        axes.axhline(noise, color=GREY, lw=0.8, ls="--")
         axes.annotate(
             "noise alone", (1.0, noise), xycoords=("axes fraction", "data"), xytext=(-4, 3),
-            textcoords="offset points", ha="right", color=NOISE, fontsize=8,
+            textcoords="offset points", ha="right", color=GREY, fontsize=8,
         )  # fmt: skip
 
 
@@ -76,12 +75,12 @@ def _draw_values(axes: Axes, found: Calibrated) -> None:
     for row, name, value, deviation, usual in zip(
         rows, found.parameters, found.values, found.deviations, typical, strict=True
     ):
-        color = NOISE if name in found.poorly_determined else BEST
+        color = GREY if name in found.poorly_determined else ORANGE
         axes.errorbar(
             value / usual, row, xerr=deviation / usual, fmt="o", ms=3.5, lw=1.0, capsize=2, color=color
         )
         _, unit, factor = _label_and_unit(name)
-        text = f"{factor * value:.3g} ± {factor * deviation:.2g} {unit}".rstrip()
+        text = number_with_unit(f"{factor * value:.3g} ± {factor * deviation:.2g}", unit)
         axes.annotate(
             text, (1.0, row), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
             va="center", fontsize=7.5, color=color, annotation_clip=False,
@@ -92,12 +91,12 @@ def _draw_values(axes: Axes, found: Calibrated) -> None:
     axes.set_xlabel(
         "value / typical size; error bars: standard deviation; grey: not determined by the frames"
     )
-    axes.grid(alpha=0.25)
+    axes.grid(True)
 
 
 def _label_and_unit(name: str) -> tuple[str, str, float]:
     """Return a parameter's label, its unit, and the factor that converts its value to this unit."""
-    units = {"mm": ("µm", 1e3), "um": ("µm", 1.0), "deg": ("deg", 1.0), "waves": ("waves", 1.0)}
+    units = {"mm": ("µm", 1e3), "um": ("µm", 1.0), "deg": ("°", 1.0), "waves": ("waves", 1.0)}
     head, _, tail = name.rpartition("_")
     if tail in units:
         return head.replace("_", " "), *units[tail]

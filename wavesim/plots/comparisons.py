@@ -9,6 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.common.text import visible
+from lensdesign.plots.style import (
+    BLUE,
+    FAINT,
+    GREEN,
+    GREY,
+    OCHRE,
+    ORANGE,
+    VIOLET,
+    in_style,
+    styled_figure,
+)
 from wavesim.metrics.comparison import Measured, families
 from wavesim.metrics.failures import REFUSED, WARNED, FailureMap
 
@@ -16,19 +27,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STYLES = (
-    ("#1f5fa8", "o"),
+    (BLUE, "o"),
     ("#38a3c9", "p"),
-    ("#2f8f4e", "s"),
-    ("#d1622b", "D"),
-    ("#7a4fa3", "^"),
-    ("#555555", "P"),
-    ("#999999", "X"),
+    (GREEN, "s"),
+    (ORANGE, "D"),
+    (VIOLET, "^"),
+    (GREY, "P"),
+    (FAINT, "X"),
     ("#b03a6b", "v"),
-    ("#8a6d3b", "<"),
+    (OCHRE, "<"),
 )
 """Colour and marker of each family, in order of appearance."""
 
 
+@in_style
 def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
     """Draw error against time and against memory for each scene, with the Pareto front of each chart.
 
@@ -44,11 +56,9 @@ def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
     matplotlib.figure.Figure
         Figure with one row of charts for each scene.
     """
-    from matplotlib.figure import Figure
-
     scenes = list(dict.fromkeys(row.scene for row in rows))
-    figure = Figure(figsize=(14.0, 4.4 * len(scenes) + 1.0), layout="constrained")
-    figure.suptitle(visible(title), fontsize=14, parse_math=False)
+    figure = styled_figure(11.0, 3.6 * len(scenes) + 0.8)
+    figure.suptitle(visible(title), parse_math=False)
     axes = figure.subplots(len(scenes), 2, squeeze=False)
     styles, legend = _styles(rows), dict[str, Any]()
     for pair, scene in zip(axes, scenes, strict=True):
@@ -64,14 +74,14 @@ def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
         _draw(pair[1], done, lambda r: r.peak_mb, lambda r: r.smallest, "peak memory (MB)", styles)
         pair[0].set_title(visible(scene), loc="left", parse_math=False)
         legend |= dict(zip(*pair[0].get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=5, frameon=False)
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=5)
     return figure
 
 
 def _styles(rows: Sequence[Measured]) -> dict[str, tuple[str, str, bool]]:
-    """Return colour and marker of each family, and whether it is drawn hollow and dashed."""
+    """Return colour and marker of each family, and whether it is drawn hollow."""
     found: dict[str, tuple[str, str, bool]] = {}
-    # Families whose names end like this have the style of the previous family, but hollow and dashed.
+    # Families whose names end like this have the style of the previous family, but hollow.
     second_styles = ("mean", "staircase")
     for family, _ in families(rows):
         second = family.endswith(second_styles)
@@ -107,8 +117,7 @@ def _draw(
             color=colour,
             marker=marker,
             markerfacecolor="white" if second else colour,
-            ls="--" if second else "-",
-            lw=1.3,
+            ls="none",
             ms=6,
             label=family,
         )
@@ -117,8 +126,7 @@ def _draw(
         axes.axhline(known, color="0.4", ls=":", lw=1.2, zorder=0, label="uncertainty of the reference field")
     axes.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the exit field (L2)")
     _mark_few_decades(axes)
-    axes.grid(alpha=0.3, which="major")
-    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True, which="major")
 
 
 def _mark_few_decades(axes: Any) -> None:
@@ -133,6 +141,7 @@ def _mark_few_decades(axes: Any) -> None:
         axes.xaxis.set_major_formatter("{x:g}")
 
 
+@in_style
 def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
     """Draw maps of errors, with lines at the limits of warning (dashed) and refusal (solid).
 
@@ -148,17 +157,16 @@ def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
     matplotlib.figure.Figure
         Figure with one map for each method.
     """
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     columns = 2
     lines = math.ceil(len(maps) / columns)
-    figure = Figure(figsize=(14.0, 4.6 * lines + 0.8), layout="constrained")
-    figure.suptitle(visible(title), fontsize=14, parse_math=False)
+    figure = styled_figure(11.0, 3.8 * lines + 0.8)
+    figure.suptitle(visible(title), parse_math=False)
     axes = figure.subplots(lines, columns, squeeze=False).ravel()
     handles = [Line2D([], [], color="black", ls=style, lw=2) for style in ("--", "-")]
     words = ["limit above which a warning is given", "limit above which the method refuses"]
-    figure.legend(handles, words, loc="outside lower center", ncols=2, frameon=False)
+    figure.legend(handles, words, loc="outside lower center", ncols=2)
     picture: Any = None
     for place, found in zip(axes, maps, strict=False):
         picture = _draw_map(place, found)
@@ -190,7 +198,7 @@ def _draw_map(axes: Any, found: FailureMap) -> Any:
     axes.set_xticks(range(len(found.x)), [f"{v:g}" for v in found.x])
     axes.set_yticks(range(len(found.y)), [f"{v:g}" for v in found.y])
     # Columns of tables keep to ASCII.
-    axes.set(xlabel=found.x_label.replace("(um)", "(µm)"), ylabel=found.y_label.replace("(um)", "(µm)"))
+    axes.set(xlabel=found.x_label.replace("(µm)", "(µm)"), ylabel=found.y_label.replace("(µm)", "(µm)"))
     always = ", warning everywhere" if np.all(found.guard >= WARNED) else ""
     axes.set_title(found.method + always, loc="left")
     return picture

@@ -11,6 +11,7 @@ import numpy as np
 
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.plots.saving import save_figure
+from lensdesign.plots.style import in_style, styled_figure
 from wavesim.metrics.result_quality import plane_metrics
 from wavesim.plots.panels import AS_SAMPLED, colour_bar, for_screen, panel_row, scale_bar, title_figure
 from wavesim.sensor.frames import Frame
@@ -20,7 +21,12 @@ from wavesim.sensor.merged_exposures import fixed_variance
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI = 160
+DPI = 180
+
+SHOWN_LIGHT, LARGEST_CROP = 0.999, 0.7
+"""Fraction of the light in the shown part of frames, and the largest part of their area that is cut out."""
+
+WHOLE = (slice(None), slice(None))
 
 
 def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
@@ -30,8 +36,11 @@ def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
         save_figure(figure, temporary, form, dpi or DPI)
 
 
+@in_style
 def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
     """Draw the electrons in the pixels of frames, on a logarithmic scale from the noise of a dark pixel.
+
+    Where the light covers a part of the frames, this part is drawn, with the whole frame in a corner.
 
     Parameters
     ----------
@@ -47,6 +56,7 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
     """
     from matplotlib.colors import LogNorm
 
+    shown_region = _light_region(frames)
     planes: dict[float, list[Frame]] = {}
     for frame in frames:
         planes.setdefault(frame.settings.plane_distance_mm, []).append(frame)
@@ -61,7 +71,7 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
         cell.set_visible(True)
         settings = frame.settings
         gain = settings.gain_electrons_per_count
-        counts, pitch_um = for_screen(frame.counts, settings.pixel_pitch_um)
+        counts, pitch_um = for_screen(frame.counts[shown_region], settings.pixel_pitch_um)
         electrons = (counts - settings.offset_counts) * gain
         low = max(math.sqrt(fixed_variance(frame)), 1e-3)
         norm = LogNorm(low, max(float(electrons.max()), 10.0 * low))
@@ -72,9 +82,62 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
         times = "" if single else f", exposure {settings.exposure / shortest:.4g} x"
         cell.set_title(f"{settings.plane_distance_mm:g} mm behind the exit vertex{times}")
         scale_bar(cell, shown.shape, pitch_um)
+        if shown_region != WHOLE:
+            _draw_whole_frame(cell, frame, shown_region, norm)
     return figure
 
 
+def _light_region(frames: Sequence[Frame]) -> tuple[slice, slice]:
+    """Return the rows and columns that hold `SHOWN_LIGHT` of the light of every frame, with a margin.
+
+    It is the whole frame if frames differ in size, or if little would be cut off.
+    """
+    rows, columns = frames[0].counts.shape
+    if any(frame.counts.shape != (rows, columns) for frame in frames):
+        return WHOLE
+    ends = []
+    for axis, count in ((1, rows), (0, columns)):
+        lows, highs = [], []
+        for frame in frames:
+            gain = frame.settings.gain_electrons_per_count
+            light = gain * np.sum(frame.counts, axis=axis, dtype=float)
+            # The darkest rows have offset and stray light only, and others differ from them by noise.
+            dark, pixels = float(np.quantile(light, 0.05)), frame.counts.shape[axis]
+            offset = gain * frame.settings.offset_counts * pixels
+            noise = math.sqrt(pixels * fixed_variance(frame) + max(dark - offset, 0.0))
+            light = np.maximum(light - dark - 4.0 * noise, 0.0)
+            if not np.any(light):
+                return WHOLE
+            total = np.cumsum(light) / float(light.sum())
+            outside = 0.5 * (1.0 - SHOWN_LIGHT)
+            lows.append(int(np.searchsorted(total, outside)))
+            highs.append(int(np.searchsorted(total, 1.0 - outside)) + 1)
+        margin = math.ceil(0.05 * count)
+        ends.append((max(min(lows) - margin, 0), min(max(highs) + margin, count)))
+    (top, bottom), (left, right) = ends
+    if (bottom - top) * (right - left) > LARGEST_CROP * rows * columns:
+        return WHOLE
+    return slice(top, bottom), slice(left, right)
+
+
+def _draw_whole_frame(cell: Any, frame: Frame, region: tuple[slice, slice], norm: Any) -> None:
+    """Draw the whole frame in a corner of its picture, with the outline of the region that is shown."""
+    from matplotlib.patches import Rectangle
+
+    settings, (rows, columns) = frame.settings, region
+    counts, pitch_um = for_screen(frame.counts, settings.pixel_pitch_um)
+    electrons = (counts - settings.offset_counts) * settings.gain_electrons_per_count
+    corner = cell.inset_axes((0.74, 0.74, 0.25, 0.25))
+    corner.imshow(np.maximum(electrons, norm.vmin), cmap="inferno", norm=norm, **AS_SAMPLED)
+    corner.set(xticks=[], yticks=[])
+    corner.spines[:].set(visible=True, color="white")
+    scale = settings.pixel_pitch_um / pitch_um
+    place, width = (scale * columns.start, scale * rows.start), scale * (columns.stop - columns.start)
+    height = scale * (rows.stop - rows.start)
+    corner.add_patch(Rectangle(place, width, height, fill=False, ec="white", lw=0.8))
+
+
+@in_style
 def residual_figure(
     maps: Sequence[Array],
     recorded: Sequence[Measurement],
@@ -117,7 +180,7 @@ def residual_figure(
         cell.set_facecolor("0.6")
         picture = cell.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
         colour_bar(figure, picture, cell, label)
-        cell.set_title(text, fontsize=11)
+        cell.set_title(text)
         scale_bar(cell, shown.shape, drawn_pitch_um)
     return figure
 
@@ -139,6 +202,7 @@ def _residual(error: Array, plane: Measurement, pitch_um: float) -> tuple[Array,
     )
 
 
+@in_style
 def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -> Figure:
     """Draw one chart for each curve, side by side.
 
@@ -155,17 +219,14 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
     matplotlib.figure.Figure
         The figure.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.6 * len(curves), 4.0), layout="constrained")
-    title_figure(figure, title, 11.0)
+    figure = styled_figure(5.0 * len(curves), 3.6)
+    title_figure(figure, title)
     for cell, (label, (x, y, x_label)) in zip(
         figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True
     ):
-        cell.plot(x, y, color="#1f5fa8", lw=1.8, marker="o" if len(x) <= 40 else None, ms=3.5)
+        cell.plot(x, y, marker="o" if len(x) <= 40 else None)
         cell.set(xlabel=x_label, ylabel=label)
         if np.min(y) > 0.0 and np.max(y) > 10.0 * np.min(y):
             cell.set_yscale("log")
-        cell.grid(alpha=0.3, which="both")
-        cell.spines[["top", "right"]].set_visible(False)
+        cell.grid(True, which="both")
     return figure

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.plots.style import BLUE, INK, RED, in_style, styled_figure
 from wavesim.fields.coverage import Rectangle
 from wavesim.fields.field import Field, Orientation
 from wavesim.plots.panels import AS_SAMPLED, colour_bar, for_screen, scale_bar, title_figure
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 LIT = 0.1
 """Fraction of the brightest amplitude below which phase is not shown."""
 
-SIDE_INCHES = 5.6
+SIDE_INCHES = 5.0
 
 
 class _Shown(NamedTuple):
@@ -36,6 +37,7 @@ class _Shown(NamedTuple):
     bar: str
 
 
+@in_style
 def object_figure(
     transmission: Field,
     inside: Any,
@@ -62,14 +64,12 @@ def object_figure(
     profile
         Element through whose bars profiles are drawn. Default: profiles through the centre.
     """
-    from matplotlib.figure import Figure
-
     named = {"found": transmission} if truth is None else {"true": truth, "found": transmission}
     rows = _rows(named, inside)
     columns = len(named)
     profiles = truth is not None
     wide = (SIDE_INCHES + 0.8) * columns + (SIDE_INCHES if profiles else 0.0)
-    figure = Figure(figsize=(wide, SIDE_INCHES * len(rows) + 0.4), layout="constrained")
+    figure = styled_figure(wide, SIDE_INCHES * len(rows) + 0.4)
     title_figure(figure, title)
     grid = figure.add_gridspec(2 * len(rows), columns + profiles)
     for row, pictures in enumerate(rows):
@@ -123,7 +123,7 @@ def _draw(
     colour_bar(figure, drawn, axes, shown.bar)
     scale_bar(axes, picture.shape, pitch_um)
     if several:
-        axes.set_title(f"{shown.name} object", fontsize=11)
+        axes.set_title(f"{shown.name} object")
     for element in elements:
         _label_element(axes, element, field, pitch_um)
 
@@ -149,7 +149,7 @@ def _label_element(axes: Any, element: UsafElement, field: Field, pitch_um: floa
         ha="right" if left else "left",
         va="center",
         fontsize=label_points,
-        color="#D8404A",
+        color=RED,
     )
 
 
@@ -158,7 +158,7 @@ def _draw_profile(
 ) -> None:
     """Draw the amplitude along x or y, through a set of bars or through the centre."""
     # Colour and line style of profiles.
-    styles = {"found": ("#1f5fa8", "-"), "true": ("#333333", "--")}
+    styles = {"found": (BLUE, "-"), "true": (INK, "--")}
     for name, field in named.items():
         colour, line = styles[name]
         at_um, amplitude = _profile(field, element, orientation)
@@ -170,9 +170,9 @@ def _draw_profile(
         location = (
             f"through element {element.group}-{element.element}, line width {element.line_width_um:.3g} µm"
         )
-    axes.set_title(f"profile along {orientation} {location}", fontsize=10)
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False, loc="upper right", ncols=2)
+    axes.set_title(f"profile along {orientation} {location}")
+    axes.grid(True)
+    axes.legend(loc="upper right", ncols=2)
 
 
 def _profile(field: Field, element: UsafElement | None, orientation: Orientation) -> tuple[Array, Array]:

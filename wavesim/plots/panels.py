@@ -9,6 +9,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import round_number_below, visible
+from lensdesign.plots.style import styled_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ AS_SAMPLED: dict[str, Any] = {"origin": "lower", "interpolation": "antialiased"}
 """Row 0 has the smallest y, and samples are not smoothed."""
 
 
-def title_figure(figure: Figure, title: str, size: float = 13.0) -> None:
+def title_figure(figure: Figure, title: str, size: float = 10.0) -> None:
     """Set a title, and break lines that are wider than the figure. Control characters are made visible."""
     width = figure.get_figwidth() - 0.3
     lines = [piece for line in title.split("\n") for piece in _broken(visible(line), size, width)]
@@ -44,10 +45,7 @@ def _broken(line: str, size: float, width: float) -> list[str]:
 
 def panel_row(count: int, title: str, rows: int = 1) -> tuple[Figure, Any]:
     """Return a figure, and its axes in an array of rows."""
-    from matplotlib.figure import Figure
-
-    size = 6.4 * count, 5.6 * rows + (0.4 if title else 0.0)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = styled_figure(5.7 * count, 5.0 * rows + (0.4 if title else 0.0))
     title_figure(figure, title)
     return figure, figure.subplots(rows, count, squeeze=False)
 
@@ -76,5 +74,5 @@ def scale_bar(axes: Any, shape: tuple[int, ...], pitch_um: float) -> None:
     axes.spines[:].set_visible(False)
     axes.plot([left, left + length], [low, low], color="black", lw=3.0, clip_on=False, solid_capstyle="butt")
     text = f"{length_um:g} µm" if length_um < 1000.0 else f"{1e-3 * length_um:g} mm"
-    axes.text(left + length + 0.015 * columns, low, text, va="center", ha="left", fontsize=10)
+    axes.text(left + length + 0.015 * columns, low, text, va="center", ha="left")
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))

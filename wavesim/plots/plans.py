@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from lensdesign.plots.style import RED, SERIES, in_style, styled_figure
 from wavesim.calibration.planning import EXPLAINED, Plans
 from wavesim.plots.panels import title_figure
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@in_style
 def plans_figure(found: Plans, title: str = "") -> Figure:
     """Draw the relative error of the object against the number of planes, with a line for each bracket.
 
@@ -26,13 +28,10 @@ def plans_figure(found: Plans, title: str = "") -> Figure:
     title
         Title of the figure.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.6), layout="constrained")
+    figure = styled_figure(6.0, 4.2)
     title_figure(figure, title)
     axes = figure.subplots()
-    colours = ("#1f5fa8", "#d1622b")
-    for exposures, colour in zip(dict.fromkeys(p.exposures for p in found.plans), colours, strict=False):
+    for exposures, colour in zip(dict.fromkeys(p.exposures for p in found.plans), SERIES, strict=False):
         plans = sorted((p for p in found.plans if p.exposures == exposures), key=lambda p: len(p.planes_mm))
         counts, errors = [len(p.planes_mm) for p in plans], [p.error for p in plans]
         label = f"exposures {', '.join(f'{e:g}' for e in exposures)}"
@@ -43,11 +42,11 @@ def plans_figure(found: Plans, title: str = "") -> Figure:
             axes.plot([count, count], [max(least, 1e-4), error], "-", color=colour, lw=2.5, alpha=0.35)
             axes.plot(count, error, "o", color=colour, markerfacecolor=face)
     best = found.recommended
-    axes.plot(len(best.planes_mm), best.error, "o", ms=14, mfc="none", color="#b3202c", label="recommended")
+    axes.plot(len(best.planes_mm), best.error, "o", ms=14, mfc="none", color=RED, label="recommended")
     axes.set_yscale("log")
     axes.set_xticks(range(1, found.settings.most_planes + 1))
     axes.set_xlabel("number of planes")
     axes.set_ylabel("relative error of the object")
-    axes.grid(alpha=0.25, which="both")
-    axes.legend(frameon=False)
+    axes.grid(True, which="both")
+    axes.legend()
     return figure

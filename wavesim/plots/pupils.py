@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
+from lensdesign.plots.style import BLUE, ORANGE, in_style, styled_figure
 from wavesim.fields.field import Orientation
 from wavesim.plots.panels import title_figure
 from wavesim.pupil.line_pairs import (
@@ -21,9 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)
-COLOURS = {"x": "#1f5fa8", "y": "#d1622b"}
+COLOURS = {"x": BLUE, "y": ORANGE}
 
 
+@in_style
 def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], title: str = "") -> Figure:
     """Draw one sheet with the figures of a registered pupil.
 
@@ -44,11 +46,9 @@ def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], ti
     matplotlib.figure.Figure
         The figure, which is not attached to a window; save it with ``figure.savefig``.
     """
-    from matplotlib.figure import Figure
-
     columns = max(3, len(line_widths_um))
-    figure = Figure(figsize=(4.9 * columns, 12.4), layout="constrained")
-    title_figure(figure, title, 14.0)
+    figure = styled_figure(4.2 * columns, 10.6)
+    title_figure(figure, title)
     grid = figure.add_gridspec(3, columns, height_ratios=(1.0, 1.0, 0.72))
     _draw_wavefront(figure, figure.add_subplot(grid[0, 0]), pupil)
     _draw_psf(figure, figure.add_subplot(grid[0, 1]), pupil)
@@ -97,8 +97,8 @@ def _draw_mtf(axes: Any, pupil: ReconstructionPupil) -> None:
     axes.set_title("Modulation transfer function")
     axes.set(xlabel="spatial frequency at the object (lp/mm)", ylabel="modulation")
     axes.set(xlim=(0.0, cut_off), ylim=(0.0, 1.02))
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
+    axes.grid(True)
+    axes.legend()
 
 
 def _draw_line_pairs(figure: Figure, axes: Any, pupil: ReconstructionPupil, width_um: float) -> None:
@@ -124,7 +124,7 @@ def _draw_profiles(axes: Any, pupil: ReconstructionPupil, width_um: float) -> No
     axes.set_title(f"Contrast: {', '.join(contrasts)}")
     axes.set(xlabel="distance from the centre of the imaged lines (µm)", ylabel="intensity")
     axes.set(xlim=(-6.0 * width_um, 6.0 * width_um), ylim=(0.0, 1.35 * axes.get_ylim()[1]))
-    axes.legend(frameon=False, fontsize=9, loc="upper center")
+    axes.legend(loc="upper center")
 
 
 def _colour_bar(figure: Figure, picture: Any, axes: Any, label: str) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
+from lensdesign.plots.style import SERIES, in_style, styled_figure
 from wavesim.fields.field import Field
 from wavesim.reconstruction.phase_retrieval import Retrieved, agreement
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@in_style
 def convergence_figure(
     runs: Mapping[str, Retrieved], title: str = "Convergence of phase retrieval"
 ) -> Figure:
@@ -43,19 +45,16 @@ def convergence_figure(
     InputError
         If there are no runs.
     """
-    from matplotlib.figure import Figure
-
     if not runs:
         raise InputError("runs: must contain at least one run")
-    figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+    figure = styled_figure(10.0, 4.0)
     figure.suptitle(visible(title), parse_math=False)
     curves = {
         "1 − CC (A6)": lambda run: 1.0 - np.asarray(run.correlation),
         "relative residual, first plane": lambda run: np.asarray(run.residual_curve),
     }
-    colours = ("#1f5fa8", "#d1622b", "#2f8f4e", "#7a4fa3", "#555555")
     for axes, (label, curve) in zip(figure.subplots(1, 2), curves.items(), strict=True):
-        for (name, run), colour in zip(runs.items(), cycle(colours), strict=False):
+        for (name, run), colour in zip(runs.items(), cycle(SERIES), strict=False):
             values = np.maximum(curve(run), 1e-16)
             iterations = np.arange(len(values))
             axes.semilogy(iterations, values, color=colour, label=name)
@@ -63,11 +62,12 @@ def convergence_figure(
                 axes.plot(run.stagnated_at, values[run.stagnated_at], "o", color=colour)
         axes.set_xlabel("iteration")
         axes.set_ylabel(label)
-        axes.grid(alpha=0.3, which="both")
-    figure.axes[0].legend(frameon=False)
+        axes.grid(True, which="both")
+    figure.axes[0].legend()
     return figure
 
 
+@in_style
 def starts_figure(
     objects: Mapping[str, Field],
     correlations: Mapping[str, float] | None = None,
@@ -95,13 +95,11 @@ def starts_figure(
     InputError
         If there are no objects, or their grids differ or are lines.
     """
-    from matplotlib.figure import Figure
-
     fields = list(objects.values())
     if not fields or any(f.grid != fields[0].grid or f.grid.is_line for f in fields):
         raise InputError("objects: must be one or more fields on the same plane grid")
     agreed = f"; agreement of all starts {agreement(fields):.4f}" if len(fields) > 1 else ""
-    figure = Figure(figsize=(3.8 * len(fields), 7.4), layout="constrained")
+    figure = styled_figure(3.5 * len(fields), 6.8)
     figure.suptitle(visible(title) + agreed, parse_math=False)
     brightest = max(float(np.percentile(np.abs(f.values), 99.9)) for f in fields)
     for column, (name, field) in enumerate(objects.items()):

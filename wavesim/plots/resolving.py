@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.errors import InputError
+from lensdesign.plots.style import GREY, SERIES, in_style, styled_figure
 from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.metrics.resolving import Resolved
 from wavesim.plots.panels import title_figure
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@in_style
 def resolving_figure(
     results: Sequence[Resolved], title: str = "", threshold: float = RESOLVED_CONTRAST
 ) -> Figure:
@@ -37,13 +39,11 @@ def resolving_figure(
     InputError
         If there are no results.
     """
-    from matplotlib.figure import Figure
-
     if not results:
         raise InputError("results: must contain at least one result")
     heights = list(dict.fromkeys(result.field_mm for result in results))
     labels = list(dict.fromkeys(engine_label(result) for result in results))
-    figure = Figure(figsize=(6.2 * len(heights) + 0.6, 5.6), layout="constrained")
+    figure = styled_figure(5.4 * len(heights) + 0.6, 5.0)
     title_figure(figure, title)
     lowest = min(line.contrast for result in results for line in result.lines)
     charts = figure.subplots(1, len(heights), squeeze=False, sharex=True, sharey=True)[0]
@@ -54,7 +54,7 @@ def resolving_figure(
         _dress(axes, here[0], threshold)
         axes.set_ylim(min(-0.15, lowest - 0.05), 1.05)
         axes.set_title(f"field height {height:g} mm", loc="left")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), frameon=False)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13))
     charts[0].set_ylabel("contrast of the intensity, refocused")
     return figure
 
@@ -68,9 +68,8 @@ def engine_label(result: Resolved) -> str:
 
 
 def _draw(axes: Any, result: Resolved, number: int, threshold: float, curves: int) -> None:
-    colours = ("#d1622b", "#2f8f4e", "#1f5fa8", "#7a4fa3", "#555555", "#b8860b")
     markers = ("D", "s", "o", "^", "P", "X")
-    colour, marker = colours[number % len(colours)], markers[number % len(markers)]
+    colour, marker = SERIES[number % len(SERIES)], markers[number % len(markers)]
     lines = sorted(result.lines, key=lambda one: one.line_width_um)
     widths, contrasts = [one.line_width_um for one in lines], [one.contrast for one in lines]
     # Curves of engines that agree coincide, so lower curves are drawn wider.
@@ -101,17 +100,21 @@ def _dress(axes: Any, result: Resolved, threshold: float) -> None:
 
     axes.axhline(0.0, color="0.4", lw=0.8)
     axes.axhline(threshold, color="0.4", lw=1.0, ls="--")
+    limit_um = result.passed_um
+    widths = sorted(one.line_width_um for one in result.lines)
+    if 0.9 * widths[0] <= limit_um <= widths[-1]:
+        axes.axvline(limit_um, color=GREY, lw=1.0, ls="-.")
+        at_top = {"xycoords": ("data", "axes fraction"), "ha": "left", "va": "bottom", "color": GREY}
+        axes.annotate(f" diffraction limit {limit_um:.3g} µm", (limit_um, 0.01), **at_top)
     at_edge = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom", "color": "0.3"}
     axes.annotate(f"threshold {threshold:g}", (0.98, threshold), **at_edge)
-    widths = sorted(one.line_width_um for one in result.lines)
     ticks = [t for t in (0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0) if _near(t, widths)]
     axes.set(xscale="log", xlabel="line width (µm)")
     if len(ticks) > 1:
         axes.xaxis.set_major_locator(FixedLocator(ticks))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.grid(alpha=0.3)
-    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True)
 
 
 def _near(tick: float, widths: Sequence[float]) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from lensdesign.exploration import ExploredPoint, axes_of
-from lensdesign.exploration.chart import COLORS, front_page, write_charts
+from lensdesign.exploration.chart import SERIES, front_page, write_charts
 from lensdesign.exploration.front import MAX_GLASSES
 from lensdesign.optimization import Specification
 
@@ -37,4 +37,4 @@ def test_a_picture_and_a_page_are_written(
 
 
 def test_every_choice_of_glasses_has_a_colour_of_its_own() -> None:
-    assert len(set(COLORS)) >= MAX_GLASSES
+    assert len(set(SERIES)) >= MAX_GLASSES

@@ -173,7 +173,7 @@ def test_labels_do_not_overlap(paper_lens: Lens, triplet: Lens) -> None:
         "paper": paper_lens,
         "triplet": triplet,
         "planes 0.1 mm apart": with_planes(2.0, 2.1, 2.2),
-        "planes 1 um apart": with_planes(2.0, 2.001, 2.002, 2.003, 22.0),
+        "planes 1 µm apart": with_planes(2.0, 2.001, 2.002, 2.003, 22.0),
         "far plane": with_planes(0.1, 900.0),
         "tiny field": with_field(1e-4),
         "large field": with_field(17.5),

@@ -32,6 +32,41 @@ def test_exposures_stand_beside_each_other_and_planes_below() -> None:
     assert alone == ["2 mm behind the exit vertex", "22 mm behind the exit vertex"]
 
 
+def bright_square(rows: slice, columns: slice) -> Frame:
+    """A frame that is dark, with noise, but for a square."""
+    settings = FrameSettings(
+        pixel_pitch_um=3.2, plane_distance_mm=2.0, wavelength_um=0.5, exposure=1.0, bits=12,
+        offset_counts=10.0, gain_electrons_per_count=2.0, read_noise_electrons=2.0,
+    )  # fmt: skip
+    counts = np.random.default_rng(1).normal(10.0, 1.0, (400, 500))
+    counts[rows, columns] += 1000.0
+    return Frame(np.rint(counts).astype(np.uint16), settings)
+
+
+def test_frames_show_the_light_and_the_whole_frame_in_a_corner() -> None:
+    frames = [
+        bright_square(slice(180, 240), slice(200, 290)),
+        bright_square(slice(150, 240), slice(220, 260)),
+    ]
+    figure = frames_figure(frames)
+    picture = figure.axes[0]
+    rows, columns = picture.images[0].get_array().shape
+    # 150 to 240 and 200 to 290, with a twentieth of the frame on each side.
+    assert rows == pytest.approx(90 + 40, abs=3)
+    assert columns == pytest.approx(90 + 50, abs=3)
+    (corner,) = picture.child_axes
+    assert corner.images[0].get_array().shape == (400, 500)
+    (outline,) = corner.patches
+    assert (outline.get_width(), outline.get_height()) == (columns, rows)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(slice(10, 390), slice(10, 490)), (slice(0, 0), slice(0, 0))])
+def test_frames_full_of_light_or_without_any_are_shown_whole(rows: slice, columns: slice) -> None:
+    picture = frames_figure([bright_square(rows, columns)]).axes[0]
+    assert picture.images[0].get_array().shape == (400, 500)
+    assert not picture.child_axes
+
+
 @pytest.mark.parametrize("samples", [120, 2 * MOST_DRAWN])
 def test_residuals_are_shown_in_standard_deviations_of_the_noise(samples: int) -> None:
     random = np.random.default_rng(3)

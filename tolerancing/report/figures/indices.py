@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tolerancing.report.figures.style import SERIES, axis_label, merit_label, styled, styled_figure
+from lensdesign.plots.style import SERIES, styled_figure
+from tolerancing.report.figures.style import axis_label, chart_style, merit_label
 from tolerancing.statistics.indices import VarianceIndices
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 def indices_figure(found: VarianceIndices) -> Figure:
     """Draw the first-order and total index of each perturbation as two bars, in one panel for each merit."""
     perturbations, merits = found.study.perturbations, found.study.merits
-    with styled():
+    with chart_style():
         figure = styled_figure(6.4, len(merits) * (0.9 + 0.28 * len(perturbations)))
         for k, axis in enumerate(figure.subplots(len(merits), squeeze=False)[:, 0]):
             order = np.argsort(found.total[:, k], kind="stable")

@@ -10,9 +10,10 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
+from lensdesign.plots.style import styled_figure
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.merits.pupil import PupilMerit
-from tolerancing.report.figures.style import figure_format, styled, styled_figure, write_figure
+from tolerancing.report.figures.style import chart_style, figure_format, write_figure
 from tolerancing.statistics.trial import SingleTrial
 from tolerancing.study.series import line_pair_picture
 from tolerancing.study.study import Study
@@ -46,7 +47,7 @@ def trial_figure(trial: SingleTrial) -> Figure:
     """
     pictured = _pictured(trial.study)
     rows: list[tuple[tuple[float, float], PupilMerit]] = list(pictured.items())
-    with styled({"axes.grid": False, "axes.titleweight": "normal"}):
+    with chart_style({"axes.grid": False, "axes.titleweight": "normal"}):
         figure = styled_figure(9.0, 2.9 * len(rows) + 0.4)
         title = f"Trial {trial.number} of {trial.study.title or trial.study.design}"
         figure.suptitle(visible(title), fontweight="bold", parse_math=False)

@@ -7,20 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lensdesign.plots.style import GREY, PAPER, RED, SERIES, styled_figure
 from tolerancing.merits.reconstruction.merit import Reconstruction
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.report.blocks import Panel
 from tolerancing.report.data import ReportData
-from tolerancing.report.figures.style import (
-    GREY,
-    PAPER,
-    RED,
-    SERIES,
-    figure_text,
-    series_label,
-    styled,
-    styled_figure,
-)
+from tolerancing.report.figures.style import chart_style, figure_text, series_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +36,7 @@ def reconstruction_panel(
     """
     figures = list(dict.fromkeys(_title(merit) for merit in merits))
     locations = list(dict.fromkeys(merit.points for merit in merits))
-    with styled():
+    with chart_style():
         figure = styled_figure(4.7 * len(figures), 3.1)
         axes = figure.subplots(1, len(figures), squeeze=False, sharey=False)[0]
         for title, axis in zip(figures, axes, strict=True):

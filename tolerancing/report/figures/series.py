@@ -6,22 +6,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from lensdesign.plots.style import BLUE, GREY, ORANGE, PAPER, RED, SERIES, styled_figure
 from tolerancing.merits.base import Merit
 from tolerancing.report.blocks import Panel
 from tolerancing.report.figures.style import (
-    BLUE,
-    GREY,
-    ORANGE,
-    PAPER,
-    RED,
-    SERIES,
+    chart_style,
     contrast_label,
     draw_limit,
     figure_text,
     merit_label,
     series_label,
-    styled,
-    styled_figure,
 )
 from tolerancing.study.results import Picture, StepResults
 from tolerancing.study.slice_counts import SliceCounts
@@ -40,7 +34,7 @@ def sweep_panels(study: Study, sweep: Sweep, steps: Sequence[StepResults]) -> li
         panels.append(_contrast_panel(sweep, steps, values))
     for merit in study.all_merits:
         if merit.label in sweep.merits:
-            with styled():
+            with chart_style():
                 figure = styled_figure(4.7, 2.8)
                 axis = figure.subplots()
                 axis.plot(values, _scores(steps, merit.label), "o-", color=BLUE, ms=3.5)
@@ -58,7 +52,7 @@ def _scores(steps: Sequence[StepResults], label: str) -> list[float]:
 
 def _contrast_panel(sweep: Sweep, steps: Sequence[StepResults], values: list[float]) -> Panel:
     colors = dict(zip(sweep.line_widths_um, SERIES * len(sweep.line_widths_um), strict=False))
-    with styled():
+    with chart_style():
         figure = styled_figure(4.7, 2.8)
         axis = figure.subplots()
         for merit in sweep.line_pairs():
@@ -91,7 +85,7 @@ def _map_panel(grid: ParameterGrid, merit: Merit, steps: Sequence[StepResults]) 
     table = scores.reshape(len(y), len(x))[np.argsort(y)][:, np.argsort(x)]
     x, y = np.sort(x), np.sort(y)
     shown = np.ma.masked_invalid(table)
-    with styled({"axes.grid": False}):
+    with chart_style({"axes.grid": False}):
         figure = styled_figure(4.2, 3.3)
         axis = figure.subplots()
         mesh = axis.pcolormesh(_edges(x), _edges(y), shown, cmap="viridis", rasterized=True)
@@ -124,7 +118,7 @@ def slice_panels(series: SliceCounts, steps: Sequence[StepResults]) -> list[Pane
 
 def _slice_panel(series: SliceCounts, width_um: float, steps: Sequence[StepResults]) -> Panel:
     name = f"{width_um:g}um".replace(".", "p")
-    with styled():
+    with chart_style():
         figure = styled_figure(4.7, 2.8)
         axis = figure.subplots()
         for kind, color in zip(series.compensations, (ORANGE, BLUE), strict=False):
@@ -152,7 +146,7 @@ def plate_panel(rows: Mapping[str, Sequence[tuple[str, Picture | None]]], alt: s
     """Draw pictures of line pairs in named rows, each with its title."""
     columns = max(len(row) for row in rows.values())
     side = 9.4 / PLATE_COLUMNS
-    with styled({"axes.grid": False}):
+    with chart_style({"axes.grid": False}):
         figure = styled_figure(side * columns + 0.2, (side + 0.22) * len(rows))
         axes = figure.subplots(len(rows), columns, squeeze=False)
         for (name, row), line in zip(rows.items(), axes, strict=True):

@@ -10,43 +10,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.common.atomic_files import atomic_path
+from lensdesign.common.text import name_with_unit
 from lensdesign.errors import InputError
 from lensdesign.plots.saving import save_figure
+from lensdesign.plots.style import RED, styled
 from tolerancing.merits.base import Merit
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.report.blocks import in_micrometres, plain
+from tolerancing.report.blocks import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-BLUE, ORANGE, GREEN, RED, GREY = "#2a6f97", "#e07a1f", "#4c956c", "#c1121f", "#6c757d"
-VIOLET, OCHRE = "#7b2d8b", "#b08900"
-SERIES = (BLUE, ORANGE, GREEN, VIOLET, OCHRE, GREY)
-INK, TICKS, EDGE, GRID, PAPER = "#343a40", "#495057", "#adb5bd", "#e9ecef", "#ffffff"
-
-STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",
+CHARTS: dict[str, Any] = {
     "font.size": 8.5,
-    "text.color": INK,
-    "axes.edgecolor": EDGE,
-    "axes.facecolor": "none",
-    "axes.linewidth": 0.8,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 9.0,
     "axes.titleweight": "bold",
-    "xtick.color": TICKS,
-    "ytick.color": TICKS,
     "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.7,
-    "legend.frameon": False,
+    "axes.spines.top": True,
+    "axes.spines.right": True,
     "legend.fontsize": 7.5,
 }
-
+"""Charts of a report are small, and most readers read values from them."""
 
 _MICROMETRES = re.compile(r"(?<![A-Za-z0-9])(\d+(?:p\d+)?)um(?![A-Za-z0-9])")
 """Lengths in names of columns, such as 0p775um."""
@@ -56,19 +42,9 @@ def _length(match: re.Match[str]) -> str:
     return f"{match[1].replace('p', '.')} µm"
 
 
-def styled(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
-    """Return a context in which figures have the report's style, with some changes."""
-    import matplotlib as mpl
-
-    parameters: Any = {**STYLE, **(changes or {})}
-    return mpl.rc_context(parameters)
-
-
-def styled_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size (inches) that is not attached to a window."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained", facecolor=PAPER)
+def chart_style(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
+    """Return a context in which figures have the style of the report's charts, with some changes."""
+    return styled({**CHARTS, **(changes or {})})
 
 
 def figure_format(path: str | os.PathLike[str]) -> str:
@@ -117,7 +93,7 @@ def merit_label(merit: Merit) -> str:
 def series_label(parameter: PerturbedParameter) -> str:
     """Return the label of a swept parameter with its unit."""
     name = f"{parameter.target} {parameter.quantity}"
-    return in_micrometres(f"{name} ({parameter.unit})" if parameter.unit else name)
+    return name_with_unit(name, parameter.unit)
 
 
 def contrast_label(merit: LinePairContrast) -> str:
@@ -128,10 +104,10 @@ def contrast_label(merit: LinePairContrast) -> str:
 def draw_limit(axis: Axes, merit: Merit, horizontal: bool, label: bool = True) -> None:
     """Draw the limit of a merit as a line across the axes."""
     draw = axis.axhline if horizontal else axis.axvline
-    text = figure_text(in_micrometres(f"limit: {merit.limit_text}")) if label else None
+    text = figure_text(f"limit: {merit.limit_text}") if label else None
     draw(merit.limit, color=RED, linewidth=1.1, label=text)
 
 
 def _labelled(column: str, unit: str) -> str:
     name = _MICROMETRES.sub(_length, column.removesuffix(f"_{unit}")).replace("_", " ")
-    return figure_text(in_micrometres(f"{name} ({unit})" if unit else name))
+    return figure_text(name_with_unit(name, unit))

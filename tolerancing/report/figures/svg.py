@@ -11,15 +11,15 @@ import re
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
+from lensdesign.plots import style
 from tolerancing.report.blocks import Panel, plain
-from tolerancing.report.figures import style
 
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 
 COLORS = {
     style.INK: "ink",
     style.TICKS: "soft",
-    style.EDGE: "edge",
+    style.FAINT: "edge",
     style.GRID: "grid",
     style.PAPER: "paper",
     style.BLUE: "blue",
@@ -82,12 +82,11 @@ def svg_text(panel: Panel, prefix: str) -> str:
 
 
 def _drawn(panel: Panel) -> ElementTree.Element:
-    from matplotlib import rc_context
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     buffer = io.StringIO()
     facecolor = panel.figure.get_facecolor()
-    with rc_context({"svg.hashsalt": "transferlens", "svg.fonttype": "none"}):
+    with style.styled({"svg.fonttype": "none"}):
         panel.figure.patch.set_alpha(0.0)
         FigureCanvasSVG(panel.figure).print_svg(buffer, metadata={"Date": None})
         panel.figure.set_layout_engine("none")  # Keeps this layout for the PDF.

@@ -10,25 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.plots.style import BLUE, GREEN, GREY, INK, ORANGE, PAPER, RED, SERIES, styled_figure
 from tolerancing.merits.base import Merit
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.report.blocks import Panel
 from tolerancing.report.data import ReportData
-from tolerancing.report.figures.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PAPER,
-    RED,
-    SERIES,
-    axis_label,
-    draw_limit,
-    merit_label,
-    styled,
-    styled_figure,
-)
+from tolerancing.report.figures.style import axis_label, chart_style, draw_limit, merit_label
 from tolerancing.statistics.summary import MeritSummary
 from tolerancing.statistics.yields import Yield
 
@@ -58,7 +45,7 @@ def distribution_panel(
     name = merit_label(summary.merit) + ("" if uncompensated is None else ", not compensated")
     known = scores[np.isfinite(scores)]
     points: dict[str, list[int]] = {}
-    with styled():
+    with chart_style():
         figure = styled_figure(4.7, 2.7)
         axis = figure.subplots()
         axis.set_title(name, loc="left")
@@ -145,7 +132,7 @@ def _scatter_panel(data: ReportData, column: int, k: int, merit: Merit) -> Panel
     scores, values = data.results.scores[:, column], data.results.values[:, k]
     rows = data.drawn[np.isfinite(scores[data.drawn])]
     correlation, perturbation = data.correlation, data.study.perturbations[k]
-    with styled({"font.size": 7.5, "axes.titlesize": 7.5, "axes.titleweight": "normal"}):
+    with chart_style({"font.size": 7.5, "axes.titlesize": 7.5, "axes.titleweight": "normal"}):
         figure = styled_figure(2.35, 1.95)
         axis = figure.subplots()
         points = _points(axis, data, values, scores, rows, merit.passed(scores), f"scatter-{column}-{k}")
@@ -179,7 +166,7 @@ class ScaleCurve:
 
 def scale_panel(scales: Array, curves: Sequence[ScaleCurve]) -> Panel:
     """Draw yield against a common factor of all tolerances, with lines for models and points for trials."""
-    with styled():
+    with chart_style():
         figure = styled_figure(6.2, 3.1)
         axis = figure.subplots()
         for number, curve in enumerate(curves):
@@ -219,7 +206,7 @@ def fidelity_panel(data: ReportData, low: Merit, high: Merit, rows: Indices, sco
     y = np.full(len(x), np.nan)
     y[rows] = scores
     both = rows[np.isfinite(x[rows]) & np.isfinite(y[rows])]
-    with styled():
+    with chart_style():
         figure = styled_figure(3.6, 3.2)
         axis = figure.subplots()
         points = _points(axis, data, x, y, both, high.passed(y), f"fidelity-{high.label}")
@@ -237,7 +224,7 @@ def fidelity_panel(data: ReportData, low: Merit, high: Merit, rows: Indices, sco
 def bars_panel(perturbations: Sequence[PerturbedParameter], changes: Array, merit: Merit) -> Panel:
     """Draw changes of one merit at both ends of each tolerance, shape (perturbations, 2), as bars."""
     names = [axis_label(perturbation) for perturbation in perturbations]
-    with styled({"axes.grid.axis": "x"}):
+    with chart_style({"axes.grid.axis": "x"}):
         figure = styled_figure(4.7, 0.9 + 0.24 * len(names))
         axis = figure.subplots()
         positions = np.arange(len(names))
