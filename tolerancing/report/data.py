@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 from tolerancing.statistics.approximations import Approximation, approximations_of
 from tolerancing.statistics.correlation import RankCorrelation, rank_correlation
@@ -149,7 +150,8 @@ class ReportData:
         """Describe one trial, by its row index, with its scores and its largest deviations."""
         results, study = self.results, self.study
         scores = ", ".join(
-            f"{m.label} {results.scores[row, k]:.4g} {m.unit}".strip() for k, m in enumerate(study.merits)
+            number_with_unit(f"{m.label} {results.scores[row, k]:.4g}", m.unit)
+            for k, m in enumerate(study.merits)
         )
         return f"trial {self.trial_numbers[row]}: {scores}; {self.causes(row)}"
 

@@ -170,7 +170,11 @@ def _blocks(data: ReportData, written: str, comparison: ReportComparison) -> Seq
     from tolerancing.report.sections.reconstruction import reconstruction_section
     from tolerancing.report.sections.series import series_section, trial_pictures
     from tolerancing.report.sections.summary import lens_section, summary_section
-    from tolerancing.report.sections.tolerances import sensitivity_section, tolerance_section
+    from tolerancing.report.sections.tolerances import (
+        coefficient_appendix,
+        sensitivity_section,
+        tolerance_section,
+    )
     from tolerancing.report.sections.trials import (
         distribution_section,
         scale_section,
@@ -193,4 +197,5 @@ def _blocks(data: ReportData, written: str, comparison: ReportComparison) -> Seq
         *fidelity_section(data),
         *method_section(data),
         *reproduction_section(data, toolkit_version(), written),
+        *coefficient_appendix(data),
     ]

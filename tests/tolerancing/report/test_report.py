@@ -103,6 +103,7 @@ SECTIONS = [
     "Fidelity: low- and high-fidelity merits",
     "Method, fidelity and error",
     "Versions and reproduction",
+    "Appendix: coefficients of the sensitivities",
 ]
 
 

@@ -31,6 +31,7 @@ from tolerancing.report.html import html_page, safe_json
 from tolerancing.report.pdf import FONT, broken_lines, register_fonts, write_pdf
 from tolerancing.report.report import report_of
 from tolerancing.report.sections.series import series_section
+from tolerancing.report.sections.summary import summary_section
 from tolerancing.report.sections.trials import SCALES, pictured_trials, scale_section, score_text
 from tolerancing.statistics.scorer import kurtosis
 from tolerancing.statistics.summary import summary_of
@@ -217,6 +218,16 @@ def test_a_model_that_explains_nothing_is_left_out(loaded):
     assert "explains too little" in blocks[-1].text
 
 
+@pytest.mark.parametrize(
+    ("throughputs", "disagrees"), [([0.95] * 15 + [0.8] * 185, True), ([0.95] * 200, False)]
+)
+def test_merits_that_reject_other_trials_are_named(write_study, ray_study, throughputs, disagrees):
+    loaded = load_study(write_study(ray_study + '[[merit]]\nkind = "throughput"\nat_least = 0.9\n'))
+    scores = np.column_stack([np.full(200, 4.7), throughputs])
+    said = [b.text for b in summary_section(data_of(loaded, scores)) if isinstance(b, Paragraph)]
+    assert any("only 7.5 % meet throughput" in text for text in said) is disagrees
+
+
 def test_the_curve_of_all_limits_is_missing_where_a_merit_is_left_out(write_study, ray_study):
     loaded = load_study(write_study(ray_study + '[[merit]]\nkind = "throughput"\nat_least = 0.9\n'))
     rng = np.random.default_rng(3)
@@ -225,7 +236,7 @@ def test_the_curve_of_all_limits_is_missing_where_a_merit_is_left_out(write_stud
     blocks = scale_section(data_of(loaded, scores, values))
     (figure,) = [b.panels[0].figure for b in blocks if isinstance(b, FigureBlock)]
     (line,) = figure.axes[0].get_legend_handles_labels()[0]
-    assert line.get_label() == "largest spread (deg)"
+    assert line.get_label() == "largest spread (°)"
     # The bold one is that of all limits.
     assert line.get_linewidth() < 2.0
 

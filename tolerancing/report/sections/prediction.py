@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.common.tables import read_number, read_table
 from lensdesign.errors import InputError
+from lensdesign.plots.style import BLUE, GREY, RED, styled_figure
 from tolerancing.report.blocks import (
     Block,
     FigureBlock,
@@ -25,7 +26,7 @@ from tolerancing.report.blocks import (
     table,
 )
 from tolerancing.report.data import ReportData
-from tolerancing.report.figures.style import BLUE, GREY, RED, styled, styled_figure
+from tolerancing.report.figures.style import chart_style
 from tolerancing.statistics.summary import Summary
 
 if TYPE_CHECKING:
@@ -229,7 +230,7 @@ def _on_front(data: ReportData, front: Front | None, found: StudyPrediction | No
     own = {"thickness_mm": data.lens.exit_vertex_z_mm}
     if found is not None and found.wavefronts is not None:
         own["as_built_rms_waves"] = max(p.rms_waves for p in found.wavefronts.points)
-    with styled():
+    with chart_style():
         figure = styled_figure(4.7, 3.0)
         axis = figure.subplots()
         for on_front, color, label in ((False, GREY, "behind the front"), (True, BLUE, "front")):

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from lensdesign.common.text import number_with_unit
 from lensdesign.errors import TransferLensError
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.merits.pupil import PupilMerit
@@ -64,7 +65,10 @@ def _sweep(data: ReportData, sweep: Sweep) -> list[Block]:
     blocks.append(FigureBlock(tuple(sweep_panels(data.study, sweep, steps)), columns=2))
     columns = [m.label for m in sweep.scored(data.study.all_merits)]
     blocks += _steps_table([sweep.parameter], columns, steps)
-    return [*blocks, *_plates(steps, lambda s: f"{s.coordinates[sweep.parameter]:g} {sweep.unit}".strip())]
+    return [
+        *blocks,
+        *_plates(steps, lambda s: number_with_unit(f"{s.coordinates[sweep.parameter]:g}", sweep.unit)),
+    ]
 
 
 def line_pair_text(section: LinePairSection) -> str:

@@ -35,7 +35,7 @@ def summary_section(data: ReportData) -> list[Block]:
     if not summary.complete:
         blocks.append(Warning(unfinished_text(summary)))
     blocks.append(_headline(summary))
-    blocks += [_merits(summary), *_offenders(data)]
+    blocks += [_merits(summary), *_disagreement(summary), *_offenders(data)]
     return blocks
 
 
@@ -122,6 +122,24 @@ def _merits(summary: Summary) -> Table:
         "most trials miss it."
     )
     return table(headings, rows, caption)
+
+
+def _disagreement(summary: Summary) -> list[Block]:
+    """Return a sentence on the merits that reject most and fewest trials, if more than chance parts them."""
+    rows = [(row.merit.column, row.good) for row in summary.merits if row.good is not None]
+    if len(rows) < 2:
+        return []
+    (strict, fewest), (mild, most) = (end(rows, key=lambda row: row[1].fraction) for end in (min, max))
+    if fewest.high >= most.low:
+        return []
+    return [
+        Paragraph(
+            f"The merits disagree about these lenses: {percent_text(most.fraction)} of the trials meet "
+            f"{mild}, but only {percent_text(fewest.fraction)} meet {strict}, which decides the yield. "
+            "Either that limit is tighter than the lens needs, or the other merit does not see the errors "
+            "that matter."
+        )
+    ]
 
 
 def _offenders(data: ReportData) -> list[Block]:

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from lensdesign.common.text import name_with_unit, number_with_unit, unit_symbol
 from tolerancing.perturbations.draws import replicates
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.report.blocks import (
@@ -53,7 +54,7 @@ def _perturbation(data: ReportData, k: int) -> list[str]:
     return [
         p.column,
         p.target,
-        f"{p.quantity} ({p.unit})" if p.unit else p.quantity,
+        name_with_unit(p.quantity, p.unit),
         distribution_text(p),
         number_text(p.distribution.largest),
         number_text(p.distribution.standard_deviation),
@@ -73,10 +74,10 @@ def distribution_text(perturbation: Perturbation) -> str:
             continue
         label = name.replace("_", " ")
         if isinstance(value, float):
-            terms.append(f"{label} {value:g} {perturbation.unit}".strip())
+            terms.append(number_with_unit(f"{label} {value:g}", perturbation.unit))
         elif isinstance(value, tuple):
             listed = ", ".join(f"{one:g}" for one in value)
-            terms.append(f"{label} {listed} {perturbation.unit}".strip())
+            terms.append(number_with_unit(f"{label} {listed}", perturbation.unit))
         else:
             terms.append(f"{label} {value}")
     return ", ".join(terms)
@@ -107,7 +108,7 @@ def _compensators(data: ReportData) -> list[Block]:
             [
                 c.column,
                 c.target,
-                f"±{c.limit:g} {c.unit}".strip(),
+                number_with_unit(f"±{c.limit:g}", c.unit),
                 *map(number_text, mean_and_deviation(known)),
                 Cell(percent_text(at_limit), failed=bool(at_limit)),
             ]
@@ -139,8 +140,18 @@ def sensitivity_section(data: ReportData) -> list[Block]:
     blocks += [Warning(one.sentence) for one in data.approximations]
     ranking = found.ranking(data.study.merits)
     blocks.append(FigureBlock(tuple(_bars(data, found, ranking, m) for m in range(len(ranking))), columns=2))
-    blocks += [_sensitivities(data, found, ranking, m) for m in range(len(ranking))]
+    blocks.append(Paragraph("The appendix has the changes, derivatives and fits of all perturbations."))
     return [*blocks, *_root_sum_square(data, found)]
+
+
+def coefficient_appendix(data: ReportData) -> list[Block]:
+    """Return the coefficients of all sensitivities, one table for each merit."""
+    found = data.sensitivity
+    if found is None:
+        return []
+    ranking = found.ranking(data.study.merits)
+    tables = [_sensitivities(data, found, ranking, m) for m in range(len(ranking))]
+    return [Heading("Appendix: coefficients of the sensitivities"), *tables]
 
 
 def _bars(data: ReportData, found: Sensitivity, ranking: np.ndarray, m: int):  # type: ignore[no-untyped-def]
@@ -173,7 +184,7 @@ def _sensitivities(data: ReportData, found: Sensitivity, ranking: np.ndarray, m:
             ]
         )
     merit = data.study.merits[m]
-    unit = f" ({merit.unit})" if merit.unit else ""
+    unit = f" ({unit_symbol(merit.unit)})" if merit.unit else ""
     headings = [
         f"<{merit.column}", "Derivative", "at −T", "at +T", "Fit: 1", "x", "x²", "Residual", "Mean shift",
         "Std.", "Of variance",
