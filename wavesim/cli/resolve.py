@@ -56,7 +56,14 @@ WavelengthUm = Annotated[
 def resolve(
     design: Design,
     details: SingleEngineDetails,
-    linewidths_um: LinewidthsUm = "1.55,0.775,0.532",
+    linewidths_um: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBER,...",
+            help="Line widths, separated by commas; default: ten from the diffraction limit upwards.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
+    ] = None,
     field_mm: Annotated[
         str,
         typer.Option(
@@ -104,12 +111,18 @@ def resolve(
     propagates it to the exit plane, and each named engine propagates the field back to the object. The result
     is refocused and registered. The remaining contrast shows which lines the engine can resolve.
     """
+    from wavesim.metrics.resolving import usual_line_widths_um
     from wavesim.plots.frames import save
     from wavesim.plots.resolving import resolving_figure
 
     validate_picture_request(output)
     lens = load_design(design)
-    widths, heights = numbers(linewidths_um, "--linewidths-um"), numbers(field_mm, "--field-mm")
+    heights = numbers(field_mm, "--field-mm")
+    widths = (
+        usual_line_widths_um(lens, wavelength_um)
+        if linewidths_um is None
+        else numbers(linewidths_um, "--linewidths-um")
+    )
     validate_lengths(
         lens,
         {
@@ -238,8 +251,8 @@ def _print_resolved(results: list[Any]) -> None:
     if settings:
         print(settings)
     print()
-    columns = ["field\n(mm)", "line\n(um)", "contrast", "weakest", "as is", first.reference]
-    columns += ["refocus\n(um)", "shift\n(um)", "exit\ncorrelation"]
+    columns = ["field\n(mm)", "line\n(µm)", "contrast", "weakest", "as is", first.reference]
+    columns += ["refocus\n(µm)", "shift\n(µm)", "exit\ncorrelation"]
     rows = [
         (
             f"{result.field_mm:g}",
@@ -269,7 +282,7 @@ def _down_to(result: Any, contrast: float) -> str:
     smallest = result.smallest_resolved_um(contrast)
     if smallest is None:
         return f"no line has a contrast of {contrast:g}"
-    return f"contrast of {contrast:g} or more down to {smallest:g} um"
+    return f"contrast of {contrast:g} or more down to {smallest:g} µm"
 
 
 def _limit(result: Any) -> str:
@@ -277,12 +290,12 @@ def _limit(result: Any) -> str:
     says = {
         "engine": f"the engine {result.engine} does not resolve finer lines",
         "reference": f"the reference engine {result.reference} does not resolve finer lines either",
-        "aperture": f"diffraction at the aperture, {result.passed_um:.3g} um (wavelength / 2 NA)",
+        "aperture": f"diffraction at the aperture, {result.passed_um:.3g} µm (wavelength / 2 NA)",
         "widths": "none found; finer lines were not tested",
     }
     smallest = result.smallest_resolved_um()
     beyond = (
-        f"; {smallest:g} um is finer than the diffraction limit of {result.passed_um:.3g} um"
+        f"; {smallest:g} µm is finer than the diffraction limit of {result.passed_um:.3g} µm"
         if smallest is not None and smallest < result.passed_um * (1.0 - 1e-9)
         else ""
     )
@@ -297,4 +310,4 @@ def _at_end(result: Any) -> str:
     widths = [f"{one.line_width_um:g}" for one in result.lines if abs(one.refocus_um) > most_um]
     if not widths:
         return ""
-    return f"; lines of {', '.join(widths)} um: best focus at the end of the search range (±{most_um:.0f} um)"
+    return f"; lines of {', '.join(widths)} µm: best focus at the end of the search range (±{most_um:.0f} µm)"

@@ -7,6 +7,7 @@ the result is refocused and registered, as is a reconstruction of a recorded pic
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
@@ -34,6 +35,21 @@ REFOCUS_RANGE_MM, REFOCUS_STEP_MM = 0.15, 0.0005
 PROFILE_POINTS = 201
 
 LineLimit = Literal["engine", "reference", "aperture", "widths"]
+
+
+def usual_line_widths_um(lens: Lens, wavelength_um: float | None = None) -> list[float]:
+    """Return ten line widths in um, from the finest that the aperture transmits to three times as wide.
+
+    They have equal ratios, and are rounded up to three digits.
+    """
+    finest = diffraction_limit_um(lens, wavelength_of(lens, wavelength_um))
+    digit = 10.0 ** (math.floor(math.log10(finest)) - 2)
+    return [float(f"{math.ceil(finest * 3.0 ** (k / 9.0) / digit - 1e-6) * digit:.4g}") for k in range(10)]
+
+
+def diffraction_limit_um(lens: Lens, wavelength_um: float) -> float:
+    """Return the width in um of the finest lines that the aperture transmits, wavelength / 2 NA."""
+    return 0.5 * wavelength_um / lens.object.numerical_aperture
 
 
 @dataclass(frozen=True)
@@ -205,7 +221,7 @@ def resolve(
     scene = meridional_scene(lens, max(line_widths_um), field_mm, bars, wavelength_um, plane_distance_mm)
     truth, tested = engine_for(scene, reference), engine_for(scene, engine, **settings)
     lines = tuple(_line_contrast(truth, tested, width, bars) for width in line_widths_um)
-    passed_um = 0.5 * scene.wavelength_um / lens.object.numerical_aperture
+    passed_um = diffraction_limit_um(lens, scene.wavelength_um)
     sample_um = 1e3 * scene.object_grid.pitch_mm
     return Resolved(field_mm, engine, reference, tested.settings(), lines, passed_um, sample_um)
 
@@ -278,7 +294,7 @@ def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: 
         raise InputError("line_widths_um: must hold at least one width")
     for width in line_widths_um:
         if not 0.01 <= width <= 1000.0:
-            raise InputError(f"line width = {width!r} um: must be from 0.01 to 1000")
+            raise InputError(f"line width = {width!r} µm: must be from 0.01 to 1000")
     if not abs(field_mm) <= lens.half_field_mm:
         raise InputError(
             f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"
@@ -286,7 +302,7 @@ def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: 
     widest = 1e-3 * (2 * bars - 1) * max(line_widths_um)
     if widest > lens.object.field_diameter_mm:
         raise InputError(
-            f"{bars} bars of {max(line_widths_um):g} um take {widest:.3g} mm: must be within the field "
+            f"{bars} bars of {max(line_widths_um):g} µm take {widest:.3g} mm: must be within the field "
             f"diameter of {lens.object.field_diameter_mm:g} mm"
         )
     if bars < 5:

@@ -47,7 +47,7 @@ def figure_11(work: Work) -> Made:
     )
     command = (
         "wavesim resolve-lines designs/paper_singlet.toml --engine slices --slices 200 "
-        "--compensation vertical"
+        "--compensation vertical --linewidths-um 1.55,0.775,0.532"
     )
     return Made(numbers, (command, "python -m pytest tests/wavesim/engines/slices"), difference, (picture,))
 

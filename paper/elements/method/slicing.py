@@ -127,7 +127,7 @@ def figure_4(work: Work) -> Made:
     )
     command = (
         "wavesim resolve-lines designs/paper_singlet.toml --engine slices --slices 200 "
-        "--compensation vertical"
+        "--compensation vertical --linewidths-um 1.55,0.775,0.532"
     )
     return Made(numbers, (command,), difference, (picture,))
 

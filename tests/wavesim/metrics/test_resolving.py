@@ -30,6 +30,7 @@ from wavesim.metrics.resolving import (
     register,
     resolve,
     resolving_seconds,
+    usual_line_widths_um,
 )
 from wavesim.plots.resolving import resolving_figure
 from wavesim.scene.engine import Cost, Engine
@@ -125,6 +126,26 @@ def test_the_limit_of_lines_is_named() -> None:
     found = resolve(TWIN, [0.775, 0.41], engine="eikonal", plane_distance_mm=0.25)
     assert found.passed_um == pytest.approx(0.532)
     assert found.limit() == "aperture"
+
+
+@pytest.mark.parametrize("wavelength_um", [None, 0.6328])
+def test_usual_lines_begin_at_the_diffraction_limit(wavelength_um: float | None) -> None:
+    widths = usual_line_widths_um(TWIN, wavelength_um)
+    limit_um = 0.5 * (wavelength_um or 0.532) / 0.5
+    assert len(widths) == 10
+    assert widths[0] == pytest.approx(limit_um, rel=2e-3)
+    assert widths[0] >= limit_um * (1.0 - 1e-9)
+    assert widths[-1] == pytest.approx(3.0 * limit_um, rel=2e-3)
+    assert np.ptp(np.diff(np.log(widths))) < 6e-3
+
+
+def test_a_chart_shows_the_diffraction_limit_where_lines_reach_it() -> None:
+    def texts(*lines: LineContrast) -> str:
+        axes = resolving_figure([replace(outcome(*lines), passed_um=0.532)]).axes[0]
+        return " ".join(text.get_text() for text in axes.texts)
+
+    assert "diffraction limit 0.532 µm" in texts(line(0.55, 0.9), line(1.0, 0.9))
+    assert "diffraction limit" not in texts(line(2.0, 0.9), line(3.0, 0.9))
 
 
 @pytest.mark.parametrize("samples", [0.3, 1.0, -2.0, 5.0])
@@ -247,7 +268,7 @@ def test_command_prints_contrasts(twin_file: Path) -> None:
     for key in ("refocus_um", "shift_um", "contrast_as_is", "exit_correlation"):
         assert np.all(np.isfinite(found[key]))
     shown = CliRunner().invoke(app, ["resolve-lines", str(twin_file), *options, *engine])
-    limits = "contrast of 0.5 or more down to 0.775 um, contrast of 0.2 or more down to 0.775 um"
+    limits = "contrast of 0.5 or more down to 0.775 µm, contrast of 0.2 or more down to 0.775 µm"
     assert f"field 0.1 mm: {limits}" in shown.stdout
     assert "-0.000" not in shown.stdout
 
