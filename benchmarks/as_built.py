@@ -36,7 +36,7 @@ SPECIFICATIONS = {
     "3 mm, NA 0.5, N-BK7": FigureRequest(0.12, {}),
     "3 mm, NA 0.4, N-BK7": FigureRequest(MARECHAL, {"numerical_aperture = 0.5": "numerical_aperture = 0.4"}),
     "2 mm, NA 0.5, N-BK7": FigureRequest(MARECHAL, {"field_diameter_mm = 3.0": "field_diameter_mm = 2.0"}),
-    "3 mm, NA 0.3, N-BK7, pixels of 4.5 um, thickness to 20 mm": FigureRequest(
+    "3 mm, NA 0.3, N-BK7, pixels of 4.5 µm, thickness to 20 mm": FigureRequest(
         MARECHAL,
         {
             "pixel_pitch_um = 3.2": "pixel_pitch_um = 4.5",

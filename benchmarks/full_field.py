@@ -27,7 +27,7 @@ def main() -> None:
     for diameter in DIAMETERS_MM:
         rows, seconds = whole_field(lens, diameter)
         times.append(seconds)
-        print_table(f"Field of {diameter:g} mm, first sensor plane, pixels of 3.2 um, error 0.01", rows)
+        print_table(f"Field of {diameter:g} mm, first sensor plane, pixels of 3.2 µm, error 0.01", rows)
     rows = growth(DIAMETERS_MM, times, MOST_EXPONENT)
     exponents = [row.value for row in rows]
     largest = [

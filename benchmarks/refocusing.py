@@ -43,7 +43,7 @@ def main() -> None:
         field = back.adjoint(through.forward(Field(grid, fine_bars(grid), WAVELENGTH_UM)))
         found = refocus_field(field, (-0.2, 0.2), 4e-3)
         peaks = np.flatnonzero((found.svfg[1:-1] > found.svfg[:-2]) & (found.svfg[1:-1] >= found.svfg[2:]))
-        rows.append(Row(f"object off by {1e3 * off:g} um: found", 1e3 * found.distance_mm, "um"))
+        rows.append(Row(f"object off by {1e3 * off:g} µm: found", 1e3 * found.distance_mm, "um"))
         rows.append(Row("  error", 1e3 * abs(found.distance_mm - off), "um", at_most=1.0))
         heights = np.sort(found.svfg[1:-1][peaks] / found.svfg.max())[::-1]
         rows.append(Row("  second highest peak over 0.4 mm, of the highest", [*heights, 0.0, 0.0][1]))

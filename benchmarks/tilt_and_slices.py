@@ -56,7 +56,7 @@ def main() -> None:
         name: engine_for(scene, "slices" if settings else "eikonal", **settings)
         for name, settings in ENGINES.items()
     }
-    print("tilt deg, pivot, lines um, engine: contrast refocused, left in place; focus um, shift um")
+    print("tilt deg, pivot, lines µm, engine: contrast refocused, left in place; focus µm, shift µm")
     for tilt, (pivot, z_mm), width in product(TILTS_DEG, PIVOTS_MM.items(), WIDTHS_UM):
         if tilt == 0.0 and z_mm != 0.0:
             continue

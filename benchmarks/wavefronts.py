@@ -147,7 +147,7 @@ def spreads_beside_others(lens: Lens) -> None:
         off = np.max(np.abs(angles - np.rad2deg(np.arcsin(sines))))
         print(
             f"largest spread of {SPREAD_TRIALS} trials, {name}: mean {np.mean(angles):.5f}, deviation "
-            f"{np.std(angles):.5f} deg; at most {off:.1e} deg from Optiland's; {seconds[name]:.3f} s"
+            f"{np.std(angles):.5f}°; at most {off:.1e}° from Optiland's; {seconds[name]:.3f} s"
         )
 
 

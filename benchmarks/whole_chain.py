@@ -30,7 +30,7 @@ def twin() -> None:
     chain = LineImagingChain(lens, 0.0, REGION_MM, planes, "lines", (1.2,), wavelength, margin_mm=0.0)
     settings = {"line_width_um": 1.2, "patch_mm": REGION_MM, "orientation": "y", "refocus": False}
     plane = ReconstructedContrast(kind="reconstructed_contrast", at_least=0.5, iterations=20, **settings)
-    print("parameter, value: contrast of 1.2 um bars on the line, in the plane")
+    print("parameter, value: contrast of 1.2 µm bars on the line, in the plane")
     for name, values in (("decenter_y_mm", (0.0, 0.00125, 0.0025, 0.008)), ("tilt_x_deg", (0.1, 0.2, 0.4))):
         parameter = PerturbedParameter(target="lens", parameter=name)
         batch = PerturbationBatch((parameter,), np.array(values)[:, None])
@@ -47,7 +47,7 @@ def main() -> None:
     planes, wavelength = lens.sensor.plane_distances_mm, lens.wavelengths_um[0]
     chain = LineImagingChain(lens, 0.0, REGION_MM, planes, "lines", WIDTHS_UM, wavelength, margin_mm=0.0)
     engine = ReconstructionEngine("eikonal")
-    print("decenter mm, tilt deg: correlation, contrast of 0.775 um lines; correlation by the true model")
+    print("decenter mm, tilt deg: correlation, contrast of 0.775 µm lines; correlation by the true model")
     poses = [Pose(decenter_y_mm=d) for d in DECENTERS_MM] + [Pose(tilt_x_deg=t) for t in TILTS_DEG]
     for pose in poses:
         system = SystemState(pose)

@@ -77,7 +77,7 @@ class Bench:
         parts = [f"1/{1.0 / self.scale:.0f}", self.thing, self.kind, f"{self.patch_mm:g} mm"]
         parts += [f"{self.planes} planes", f"exposures {times}"]
         if self.wavelength_um is not None:
-            parts.append(f"{self.wavelength_um:g} um")
+            parts.append(f"{self.wavelength_um:g} µm")
         return ", ".join(parts + [f"{name} {value}" for name, value in self.imaged])
 
 

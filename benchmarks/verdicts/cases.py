@@ -243,7 +243,7 @@ WRONG = (
             healthy=second_plane("as it is", FAINT),
         )
         for where, bench in (("letters", ONE_LETTERS), ("phantom", ONE_PHANTOM))
-        for turn in ("shifted by 3 px", "mirrored", "rotated by 90 deg")
+        for turn in ("shifted by 3 px", "mirrored", "rotated by 90°")
     ),
     *(
         Case(
@@ -258,13 +258,13 @@ WRONG = (
             ("shifted by 3 px", "", ONE_LETTERS),
             ("shifted by 20 px", "", ONE_LETTERS),
             ("mirrored", ", phantom", ONE_PHANTOM),
-            ("rotated by 90 deg", ", phantom", ONE_PHANTOM),
-            ("rotated by 180 deg", "", ONE_LETTERS),
+            ("rotated by 90°", ", phantom", ONE_PHANTOM),
+            ("rotated by 180°", "", ONE_LETTERS),
             ("transposed", ", phantom", ONE_PHANTOM),
         )
     ),
     Case(
-        "lens decentered by 1.25 um, tilted by 0.1 deg, one exposure",
+        "lens decentered by 1.25 µm, tilted by 0.1°, one exposure",
         "wrong",
         ONE_EXPOSURE,
         imaged(decenter_x_mm=0.00125, tilt_x_deg=0.1),
@@ -284,7 +284,7 @@ WRONG = (
     Case("long exposure stated 1.5 times too long", "wrong", AMPLITUDE, long_exposures(1.5), ("exposure",)),
     Case("long exposure stated 8 % too long", "wrong", AMPLITUDE, long_exposures(1.08), ("exposure",)),
     Case(
-        "source of 0.15 deg and vibration of 1 um",
+        "source of 0.15° and vibration of 1 µm",
         "wrong",
         CHART,
         lambda b: vibrating(b, 1.0, source_deg=0.15),
@@ -415,7 +415,7 @@ PERFECT = (
         Bench(thing="tissue", kind="complex", exposures=THREE, wavelength_um=0.46, seed=2),
     ),
     Case(
-        "star, 1/48, source of 0.1 deg stated",
+        "star, 1/48, source of 0.1° stated",
         "perfect",
         Bench(
             1 / 48,
@@ -426,7 +426,7 @@ PERFECT = (
         ),
     ),
     Case(
-        "letters, 1/48, source of 0.15 deg to be found",
+        "letters, 1/48, source of 0.15° to be found",
         "perfect",
         Bench(
             1 / 48,
@@ -459,7 +459,7 @@ PERFECT = (
         ),
     ),
     Case(
-        "tissue, 1/48, source of 0.1 deg stated",
+        "tissue, 1/48, source of 0.1° stated",
         "perfect",
         Bench(
             1 / 48,
@@ -534,26 +534,26 @@ CAUSES = (
     caused("pixels larger by 15 %", pitch(1.15), "pixel pitch"),
     caused("pixels larger by 5 %", pitch(1.05), "pixel pitch"),
     caused("pixels smaller by 3 %", pitch(0.97), "pixel pitch"),
-    caused("light tilted by 0.3, 0 deg", imaged(light_error_deg=(0.3, 0.0)), "light"),
-    caused("light tilted by -0.2, 0.3 deg", imaged(light_error_deg=(-0.2, 0.3)), "light"),
-    caused("light tilted by 0, 0.6 deg", imaged(light_error_deg=(0.0, 0.6)), "light"),
+    caused("light tilted by 0.3, 0°", imaged(light_error_deg=(0.3, 0.0)), "light"),
+    caused("light tilted by -0.2, 0.3°", imaged(light_error_deg=(-0.2, 0.3)), "light"),
+    caused("light tilted by 0, 0.6°", imaged(light_error_deg=(0.0, 0.6)), "light"),
     caused("light bent, 20:0.15,11:0.1 waves", imaged(light_phase_waves="20:0.15,11:0.1"), "light"),
     caused("light bent, 02:-0.3 waves", imaged(light_phase_waves="02:-0.3"), "light"),
     caused(
-        "second plane shifted by 1.3, -2.2 um",
+        "second plane shifted by 1.3, -2.2 µm",
         imaged(plane_shift_um=((0.0, 0.0), (1.3, -2.2))),
         "shift",
     ),
-    caused("second plane shifted by -3, 0 um", imaged(plane_shift_um=((0.0, 0.0), (-3.0, 0.0))), "shift"),
+    caused("second plane shifted by -3, 0 µm", imaged(plane_shift_um=((0.0, 0.0), (-3.0, 0.0))), "shift"),
     caused("background of 2 %", imaged(plane_background=(0.02, 0.02)), "background"),
     caused("background of 5 %, second plane", imaged(plane_background=(0.0, 0.05)), "background"),
     caused("design with first radius 20 % longer", AS_TAKEN, "lens", believed=radius(0, 1.2)),
     caused("design with second radius 3 % shorter", AS_TAKEN, "lens", believed=radius(1, 0.97)),
     caused("index 0.01 higher", imaged(perturb="surface 1: index=0.01"), "lens"),
     caused("lens 0.02 mm thicker", imaged(perturb="surface 1: thickness_mm=0.02"), "lens"),
-    caused("lens decentered by 10 um", imaged(decenter_x_mm=0.01), "mounting"),
+    caused("lens decentered by 10 µm", imaged(decenter_x_mm=0.01), "mounting"),
     caused(
-        "lens decentered by 3 um, tilted by 0.3 deg",
+        "lens decentered by 3 µm, tilted by 0.3°",
         imaged(decenter_x_mm=0.003, tilt_x_deg=0.3),
         "mounting",
     ),

@@ -23,8 +23,8 @@ TURNS: dict[str, Callable[[Counts], Counts]] = {
     "shifted by 3 px": lambda counts: np.roll(counts, 3, axis=1),
     "shifted by 20 px": lambda counts: np.roll(counts, (20, -20), axis=(0, 1)),
     "mirrored": lambda counts: counts[:, ::-1],
-    "rotated by 90 deg": lambda counts: np.rot90(counts),
-    "rotated by 180 deg": lambda counts: counts[::-1, ::-1],
+    "rotated by 90°": lambda counts: np.rot90(counts),
+    "rotated by 180°": lambda counts: counts[::-1, ::-1],
     "transposed": lambda counts: counts.T,
 }
 """What a plane's picture is made into."""

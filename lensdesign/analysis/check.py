@@ -191,7 +191,7 @@ def _sensor_sbp(traced: list[_Traced]) -> Constraint:
         "",
         m.sbp_ratio >= 1.0,
         f"Eq. 1: the sensor's space-bandwidth product of {m.sbp_sensor:.4g} is less than the object's "
-        f"{m.sbp_object:.4g} at {m.wavelength_um:g} um, by {_percent(1.0 - m.sbp_ratio)}",
+        f"{m.sbp_object:.4g} at {m.wavelength_um:g} µm, by {_percent(1.0 - m.sbp_ratio)}",
     )
 
 
@@ -205,8 +205,8 @@ def _spread_within_limit(worst: _Traced) -> Constraint:
         limit,
         "deg",
         worst.load <= 1.0 + ROUNDING and spread.spread_deg < 90.0,
-        f"Eq. 2: the largest spread angle of {spread.spread_deg:.4f} deg exceeds the limit of "
-        f"{limit:.4f} deg at {worst.matching.wavelength_um:g} um, by {_percent(worst.load - 1.0)} in its "
+        f"Eq. 2: the largest spread angle of {spread.spread_deg:.4f}° exceeds the limit of "
+        f"{limit:.4f}° at {worst.matching.wavelength_um:g} µm, by {_percent(worst.load - 1.0)} in its "
         f"sine (field height {height:.4g} mm, stop point {spread.pupil[0]:.3f}, {spread.pupil[1]:.3f})",
     )
 
@@ -245,7 +245,7 @@ def _nothing_clipped(traced: list[_Traced]) -> Constraint:
         "",
         fraction >= 1.0,
         f"throughput: only {100.0 * fraction:.4g} % of the rays from the field height {height:.4g} mm that "
-        f"pass the stop pass the lens at {darkest.matching.wavelength_um:g} um; must be 100 %",
+        f"pass the stop pass the lens at {darkest.matching.wavelength_um:g} µm; must be 100 %",
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.report import CheckReport
+from lensdesign.common.text import unit_symbol
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_elements
@@ -120,7 +121,7 @@ def _properties(lens: Lens, check: Callable[[Lens], CheckReport]) -> _Values:
     found["constraints not met"] = (f"{missed} of {len(report.constraints)}", missed == 0)
     found["SBP of the object"] = (report.sbp_object, None)
     for one in report.constraints:
-        name = f"{one.name}{f', {one.unit}' if one.unit else ''}"
+        name = f"{one.name}{f', {unit_symbol(one.unit)}' if one.unit else ''}"
         found[name] = (float(one.value), one.met)
     # The constraints of a specification need not include these two.
     for label, value in {

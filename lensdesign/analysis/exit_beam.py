@@ -484,4 +484,4 @@ def _trace(
 
 def _no_light(which: str, wavelength_um: float) -> str:
     hint = "check for a semi_diameter_mm that is too small and for total reflection (material, radius_mm)"
-    return f"no ray {which} passes at {wavelength_um:g} um; {hint}"
+    return f"no ray {which} passes at {wavelength_um:g} µm; {hint}"

@@ -8,7 +8,7 @@ from typing import Any
 from lensdesign.analysis.form_error import FormError
 from lensdesign.analysis.outline import DrawnEdge
 from lensdesign.common.notebook import html_table
-from lensdesign.common.text import finite_or_none
+from lensdesign.common.text import finite_or_none, number_with_unit
 
 
 @dataclass(frozen=True)
@@ -180,16 +180,21 @@ class CheckReport:
         met = "every constraint met" if self.feasible else f"not met: {len(self.violations)}"
         return (
             f"<CheckReport {self.title!r}: {met}, spread {self.max_spread_deg:.4f} of "
-            f"{self.spread_limit_deg:.4f} deg, resolution {self.resolution_um:.4g} um>"
+            f"{self.spread_limit_deg:.4f}°, resolution {self.resolution_um:.4g} µm>"
         )
 
     def _repr_html_(self) -> str:
         rows = [
-            (c.name, f"{'' if c.met else 'not met: '}{c.value:.6g} {c.relation} {c.limit:.6g} {c.unit}")
+            (
+                c.name,
+                number_with_unit(
+                    f"{'' if c.met else 'not met: '}{c.value:.6g} {c.relation} {c.limit:.6g}", c.unit
+                ),
+            )
             for c in self.constraints
         ]
         rows += [
-            ("resolution", f"{self.resolution_um:.4g} um"),
+            ("resolution", f"{self.resolution_um:.4g} µm"),
             ("effective, back focal length", f"{self.efl_mm:.4f}, {self.bfl_mm:.4f} mm"),
             ("exit beam diameter", f"{self.exit_beam_diameter_mm:.3f} mm"),
         ]

@@ -123,7 +123,7 @@ def match(lens: Lens, wavelength_um: float) -> Matching:
         raise DesignError(
             f"field_diameter_mm = {target.field_diameter_mm:g}, numerical_aperture = "
             f"{target.numerical_aperture:g}, pixel_pitch_um = {sensor.pixel_pitch_um:g} and a wavelength of "
-            f"{wavelength_um:g} um give no space-bandwidth product (Eq. 1): one of these values is far too "
+            f"{wavelength_um:g} µm give no space-bandwidth product (Eq. 1): one of these values is far too "
             "small"
         ) from None
     sine = spread_limit_sine(wavelength_um, sensor.pixel_pitch_um)

@@ -235,10 +235,10 @@ def glass(
         return
     span = figures["wavelength_range_um"]
     typer.echo(visible(f"{figures['name']} ({figures['catalog']})"))
-    typer.echo(f"  index at {wavelength_um:g} um   {index:.7f}")
+    typer.echo(f"  index at {wavelength_um:g} µm   {index:.7f}")
     typer.echo(f"  nd                   {_or_unknown(figures['nd'], '.7f')}")
     typer.echo(f"  Vd                   {_or_unknown(figures['vd'], '.3f')}")
-    typer.echo(f"  wavelengths          {f'{span[0]:g} to {span[1]:g} um' if span else 'any'}")
+    typer.echo(f"  wavelengths          {f'{span[0]:g} to {span[1]:g} µm' if span else 'any'}")
     if figures["source"]:
         typer.echo(visible(f"  source               {figures['source']}"))
     for note in found.notes:
@@ -289,7 +289,7 @@ def _print_check(report: CheckReport) -> None:
     heights = ", ".join(f"{h:g}" for h in report.spot_heights_mm)
     spots = ", ".join(f"{d:.2f}" for d in report.rms_spot_diameter_mm)
     rows = [
-        ("resolution", f"{report.resolution_um:.4g} um"),
+        ("resolution", f"{report.resolution_um:.4g} µm"),
         ("highest frequency of the sensor", f"{report.highest_frequency_lp_per_mm:.5g} lp/mm"),
         ("effective, back focal length", f"{report.efl_mm:.4f}, {report.bfl_mm:.4f} mm"),
         (f"RMS spot diameter {report.spot_plane_mm:g} mm behind, at {heights} mm", f"{spots} mm"),

@@ -304,7 +304,7 @@ def sag(
         return
     departure_um = 1e3 * float(abs(table.departure_mm).max())
     typer.echo(
-        f"wrote {output}: {len(table.sag_mm)} rows, at most {departure_um:.4g} um from {table.best_fit_text}"
+        f"wrote {output}: {len(table.sag_mm)} rows, at most {departure_um:.4g} µm from {table.best_fit_text}"
     )
 
 

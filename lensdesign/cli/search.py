@@ -16,7 +16,7 @@ from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.progress import progress_text
-from lensdesign.common.text import visible
+from lensdesign.common.text import number_with_unit, visible
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -293,11 +293,13 @@ def _write_lenses(found: Sequence[Limit], folder: Path) -> dict[str, str]:
 def _print_limits(found: Sequence[Limit]) -> None:
     shown = table("", "what", "required", "can be met", "ratio", "binding constraints")
     for one in found:
-        reached = "none found" if one.reached is None else f"{one.reached:.4g} {one.unit}".strip()
+        reached = "none found" if one.reached is None else number_with_unit(f"{one.reached:.4g}", one.unit)
         ratio = "" if one.reached is None else f"{one.reached / one.asked:.3f}"
         more = "" if one.ended else ", and more"
         binding = visible(", ".join(one.binding))
-        shown.add_row(one.name, f"{one.asked:.4g} {one.unit}".strip(), reached + more, ratio, binding)
+        shown.add_row(
+            one.name, number_with_unit(f"{one.asked:.4g}", one.unit), reached + more, ratio, binding
+        )
     print_tables(shown)
     for one in found:
         typer.echo(f"{one.name}: {one.confidence}")
@@ -343,8 +345,8 @@ def _print_optimization(result: OptimizationResult) -> None:
     variables.add_row(goal, f"{result.goal_value:.6g} {result.goal_unit}")
     if len(result.spreads) > 1:
         for s in result.spreads:
-            shown = f"{s.spread_deg:.4f} deg, {100.0 * s.share:.2f} % of {s.limit_deg:.4f} deg"
-            variables.add_row(f"spread at {s.wavelength_um:g} um", shown)
+            shown = f"{s.spread_deg:.4f}°, {100.0 * s.share:.2f} % of {s.limit_deg:.4f}°"
+            variables.add_row(f"spread at {s.wavelength_um:g} µm", shown)
     tables = [variables]
     if any(one.temperature_c is not None for one in result.check.constraints):
         tables.append(_at_temperatures(result.check.constraints))
@@ -380,7 +382,7 @@ def _at_temperatures(constraints: Sequence[Constraint]) -> Any:
     values = {one.name: f"{one.value:.5g}" for one in constraints}
     for one in constraints:
         if one.temperature_c is None:
-            limit = f"{one.relation} {one.limit:.5g} {one.unit}".rstrip()
+            limit = number_with_unit(f"{one.relation} {one.limit:.5g}", one.unit)
             shown.add_row(one.name, limit, *(values.get(named_at(one.name, t), "") for t in temperatures))
     return shown
 

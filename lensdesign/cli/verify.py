@@ -65,12 +65,12 @@ def _print_report(report: MeshReport) -> None:
         name = f"surface {side.surface} of element {side.element}"
         if side.greatest_um is not None:
             typer.echo(
-                f"{name}: at most {side.greatest_um:.4g} um off, RMS {side.rms_um:.4g} um, "
+                f"{name}: at most {side.greatest_um:.4g} µm off, RMS {side.rms_um:.4g} µm, "
                 f"{side.points} points"
             )
     if report.edge_greatest_um is not None:
-        typer.echo(f"edge: at most {report.edge_greatest_um:.4g} um off (not part of the verification)")
+        typer.echo(f"edge: at most {report.edge_greatest_um:.4g} µm off (not part of the verification)")
     for fault in report.faults:
         typer.echo(f"not met: {fault}")
     if not report.faults:
-        typer.echo(f"the mesh agrees with the design within {report.chord_error_um:g} um")
+        typer.echo(f"the mesh agrees with the design within {report.chord_error_um:g} µm")

@@ -7,6 +7,9 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
+UNIT_SYMBOLS = {"um": "µm", "deg": "°", "percent": "%", "c": "°C", "mm3": "mm³"}
+"""Units as people write them, by their spelling in names and files."""
+
 
 def safe_cell(text: str) -> str:
     """Return a text, preceded by an apostrophe if a spreadsheet would interpret it as a formula.
@@ -58,5 +61,28 @@ def round_number_below(value: float) -> float:
 
 def quantity_text(value: float, unit: str = "", digits: int = 4) -> str:
     """Return a number with a number of decimals, or as a power of ten from 100000 on, and its unit."""
-    shown = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.{digits}f}"
-    return f"{shown} {unit}".rstrip()
+    return number_with_unit(f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.{digits}f}", unit)
+
+
+def number_with_unit(number: str, unit: str) -> str:
+    """Return a number with its unit as people write them, such as 4.8° or 3.2 µm.
+
+    Parameters
+    ----------
+    number
+        The number as a text.
+    unit
+        Unit as names of parameters and files have it, such as ``um`` and ``deg``; "" for none.
+    """
+    symbol = unit_symbol(unit)
+    return f"{number}{'' if symbol == '°' else ' '}{symbol}".rstrip()
+
+
+def unit_symbol(unit: str) -> str:
+    """Return a unit as people write it, such as µm for the ``um`` of names and files."""
+    return UNIT_SYMBOLS.get(unit, unit)
+
+
+def name_with_unit(name: str, unit: str) -> str:
+    """Return the name of a quantity with its unit, for axes and columns of tables."""
+    return f"{name} ({unit_symbol(unit)})" if unit else name

@@ -126,9 +126,9 @@ class PrivateGlass:
         if not 1.0 <= index <= largest_index:
             raise InputError(
                 f"{self.location}: the {name} coefficients of private glass {quoted(self.name)} give an "
-                f"index of {index:g} at {wavelength_um:g} um; allowed is 1 to {largest_index:g}"
+                f"index of {index:g} at {wavelength_um:g} µm; allowed is 1 to {largest_index:g}"
             )
-        return index, f"index {index:.7g} at {wavelength_um:g} um by the {name} formula of {self.name}", ""
+        return index, f"index {index:.7g} at {wavelength_um:g} µm by the {name} formula of {self.name}", ""
 
     def _by_table(self, wavelength_nm: float) -> tuple[float, str, str]:
         wavelengths_um = [parse_number(v, self.location) for v in self.wavelengths]

@@ -112,8 +112,8 @@ class Material:
         shortest, longest = self.wavelength_range_um
         if not shortest <= wavelength_um <= longest:
             raise MaterialError(
-                f"{self.name} ({self.catalog}): the index at {wavelength_um:g} um is not known; "
-                f"the wavelength must be from {shortest:g} to {longest:g} um"
+                f"{self.name} ({self.catalog}): the index at {wavelength_um:g} µm is not known; "
+                f"the wavelength must be from {shortest:g} to {longest:g} µm"
             )
         if not 0.0 < wavelength_um < math.inf:
             raise MaterialError(f"wavelength_um = {wavelength_um:g}: must be finite and above 0")
@@ -121,7 +121,7 @@ class Material:
         if not 1.0 <= index < math.inf:
             raise MaterialError(
                 f"{self.name} ({self.catalog}): the data gives {index:g} as the index at "
-                f"{wavelength_um:g} um; a transparent medium has a finite index of at least 1"
+                f"{wavelength_um:g} µm; a transparent medium has a finite index of at least 1"
             )
         return index
 

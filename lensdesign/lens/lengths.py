@@ -119,7 +119,7 @@ class LensLengths:
             return _fineness(wave, 50.0, "light")
         if name in ("picture_pixel", "light_pitch"):
             least, most = 0.01 * fine, field / 8.0
-            reason = f"must be {1e3 * least:.3g} to {1e3 * most:.3g} um, for a field of {field:g} mm"
+            reason = f"must be {1e3 * least:.3g} to {1e3 * most:.3g} µm, for a field of {field:g} mm"
             return PlausibleLength(least, most, (0.05 * fine, field / 10.0), reason)
         if name == "waist":
             least, most = 2.0 * wave, 20.0 * field
@@ -141,7 +141,7 @@ class LensLengths:
             return self._error(max(self.planes_mm), "the distance of the farthest plane")
         if name in ("shift", "plane_shift"):
             most = 0.1 * self.sensor_mm
-            reason = f"must be from 0.01 to {1e3 * most:.4g} um, a tenth of the sensor"
+            reason = f"must be from 0.01 to {1e3 * most:.4g} µm, a tenth of the sensor"
             return PlausibleLength(1e-5, most, (5e-4, most), reason)
         if name == "refocus":
             depth, distance = self.focal_depth_mm, self.working_distance_mm
@@ -273,7 +273,7 @@ def _of_the_whole(lens: Lens) -> Iterator[str]:
 def _fineness(scale_mm: float, most: float, what: str) -> PlausibleLength:
     """Return the range of a sampling pitch or line width, relative to the scale that it resolves."""
     low, high = 0.01 * scale_mm, most * scale_mm
-    reason = f"must be {1e3 * low:.3g} to {1e3 * high:.3g} um, for {what} of {1e3 * scale_mm:.3g} um"
+    reason = f"must be {1e3 * low:.3g} to {1e3 * high:.3g} µm, for {what} of {1e3 * scale_mm:.3g} µm"
     return PlausibleLength(low, high, (0.05 * scale_mm, 20.0 * scale_mm), reason)
 
 

@@ -325,13 +325,13 @@ class Lens(FrozenModel):
         pixels = " x ".join(map(str, self.sensor.pixels))
         planes = ", ".join(f"{d:g}" for d in self.sensor.plane_distances_mm)
         rows += [
-            ("wavelengths", f"{', '.join(f'{w:g}' for w in self.wavelengths_um)} um"),
+            ("wavelengths", f"{', '.join(f'{w:g}' for w in self.wavelengths_um)} µm"),
             (
                 "object",
                 f"field {self.object.field_diameter_mm:g} mm, NA {self.object.numerical_aperture:g}, "
                 f"{self.object.working_distance_mm:g} mm before surface 1",
             ),
-            ("sensor", f"{pixels} pixels of {self.sensor.pixel_pitch_um:g} um, {planes} mm behind"),
+            ("sensor", f"{pixels} pixels of {self.sensor.pixel_pitch_um:g} µm, {planes} mm behind"),
         ]
         try:
             picture = section_svg(glass_elements(self))

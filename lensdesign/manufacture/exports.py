@@ -122,7 +122,7 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         "ground_diameters_mm": [] if figured else _diameters(outline),
     }
     sentence = (
-        f"{mesh.triangles} triangles, within {mesh.chord_error_um:.3g} um of the true surface, "
+        f"{mesh.triangles} triangles, within {mesh.chord_error_um:.3g} µm of the true surface, "
         f"volume {mesh.volume_mm3:.6g} mm³ (exact {mesh.exact_volume_mm3:.6g} mm³)"
     )
     return Exported(sentence, values, statements)

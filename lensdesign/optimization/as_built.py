@@ -200,7 +200,7 @@ class AsBuiltReport:
         """Object points as text, with the wavelength if it is not the first of the lens."""
         pairs = zip(self.points_mm, self.wavelengths_um, strict=True)
         return tuple(
-            f"({x:g}, {y:g}) mm" + ("" if wavelength is None else f", {wavelength:g} um")
+            f"({x:g}, {y:g}) mm" + ("" if wavelength is None else f", {wavelength:g} µm")
             for (x, y), wavelength in pairs
         )
 

@@ -18,6 +18,7 @@ from lensdesign.analysis.exit_beam import largest_spread_angle, spread_angle_and
 from lensdesign.analysis.outline import drawn_edge_thicknesses_mm
 from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.common.arrays import Array
+from lensdesign.common.text import number_with_unit
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
 from lensdesign.lens.temperature import lens_at_temperature, named_at
@@ -125,7 +126,7 @@ def _spread(lens: Lens, specification: Specification, report: CheckReport) -> li
     """Return the spread constraints at each wavelength: over the field, along x and y, at field heights."""
     limits, rows = specification.constraints, []
     for found in report.wavelengths:
-        at = f"at {found.wavelength_um:g} um"
+        at = f"at {found.wavelength_um:g} µm"
         sine = specification.spread_limit(found.wavelength_um)
         if math.isfinite(sine):
             limit = math.degrees(math.asin(sine))
@@ -280,7 +281,7 @@ def _angle(name: str, value_deg: float, limit_deg: float) -> Constraint:
     load = capped_sine(value_deg) / capped_sine(limit_deg)
     met = load <= 1.0 + ROUNDING and value_deg < 90.0
     miss = (
-        f"{name}: {value_deg:.4f} deg exceeds the limit of {limit_deg:.4f} deg, by "
+        f"{name}: {value_deg:.4f}° exceeds the limit of {limit_deg:.4f}°, by "
         f"{100.0 * (load - 1.0):.2g} % in its sine"
     )
     return constraint(name, value_deg, "<=", limit_deg, "deg", met, miss)
@@ -296,6 +297,6 @@ def _at_most(name: str, value: float, limit: float, unit: str) -> Constraint:
 
 def _at_least(name: str, value: float, limit: float, unit: str) -> Constraint:
     met = bool(value >= limit * (1.0 - ROUNDING) - 1e-9)
-    sizes = (f"{number:.5g} {unit}".rstrip() for number in (value, limit, limit - value))
+    sizes = (number_with_unit(f"{number:.5g}", unit) for number in (value, limit, limit - value))
     miss = "{}: {} is less than the {} that the specification requires, by {}".format(name, *sizes)
     return constraint(name, value, ">=", limit, unit, met, miss)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
@@ -98,7 +99,7 @@ class WhatIf:
         for deviation in deviations_of(lens, own):
             if value := own.values.get(deviation.key, 0.0):
                 owner = deviation.target if deviation.target.startswith("element") else ""
-                words.append(f"{owner} {deviation.label} {value:.6g} {deviation.unit}".strip())
+                words.append(number_with_unit(f"{owner} {deviation.label} {value:.6g}", deviation.unit))
         if own.mounted != AS_DESIGNED:
             names = ", ".join(name.replace("_", " ") for name in state_table(own.mounted))
             words.append(f"{own.file or 'mounted lens'} ({names})")

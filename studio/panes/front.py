@@ -33,7 +33,7 @@ OBJECTIVES = {
 
 AXES = {
     "thickness": "thickness (mm)",
-    "spread": "spread (deg)",
+    "spread": "spread (°)",
     "track": "track (mm)",
     "semi_diameter": "semi-diameter (mm)",
     "as_built_rms": "as-built rms (waves)",

@@ -86,14 +86,14 @@ def spread(lens: Workbench | Lens) -> Guarded:
         "spread against field height",
         height=190,
         x="field height (mm)",
-        y="spread (deg)",
+        y="spread (°)",
         x_range=Range1d(0, 1),
         y_range=Range1d(0, 1),
     )
     source = ColumnDataSource({"x": [], "y": []})
     line = plot.line("x", "y", source=source, line_width=2)
     dots = plot.scatter("x", "y", source=source, size=4)
-    hover(plot, [dots], ("field height", "@x{0.000} mm"), ("spread", "@y{0.0000} deg"))
+    hover(plot, [dots], ("field height", "@x{0.000} mm"), ("spread", "@y{0.0000}°"))
     limit = Span(dimension="width", line_dash="dashed", line_width=1.2)
     plot.add_layout(limit)
     colors: dict[str, str] = {}

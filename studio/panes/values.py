@@ -8,6 +8,7 @@ from typing import Any
 import panel as pn
 import param
 
+from lensdesign.common.text import unit_symbol
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
@@ -182,7 +183,7 @@ def _row(lens: Lens, value: Value) -> dict[str, Any]:
         "key": value.key,
         "group": value.group,
         "label": value.label,
-        "unit": value.unit.replace("um", "µm"),
+        "unit": unit_symbol(value.unit),
         "text": value.text,
         "number": value.number,
         "low": value.low,

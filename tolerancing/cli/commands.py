@@ -14,7 +14,7 @@ from lensdesign.common.console import make_app, messages_only, print_json, run_a
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.outputs import check_output_file, output_file
-from lensdesign.common.text import visible
+from lensdesign.common.text import number_with_unit, visible
 from lensdesign.errors import InputError, TransferLensError
 from tolerancing.cli import predict as cli_predict
 from tolerancing.cli import statistics as cli_statistics
@@ -308,7 +308,7 @@ def _print_trial(trial: SingleTrial) -> None:
     for perturbation, value in zip(study.perturbations, again.values[0], strict=True):
         distribution = perturbation.distribution
         standardized = (value - distribution.centre) / distribution.standard_deviation
-        deviation = f"{value:+.5g} {perturbation.unit}".strip()
+        deviation = number_with_unit(f"{value:+.5g}", perturbation.unit)
         deviations.append((perturbation.column, deviation, f"{standardized:+.2f}"))
     title = f"trial {trial.number} of {study.title or study.design}"
     print_table(title, ["perturbation"], ["deviation", "in std. dev."], deviations)
@@ -387,7 +387,7 @@ def _print_summary(summary: Summary, predicted: StudyPrediction | None) -> None:
 
 
 def _limit(merit: Merit) -> str:
-    return f"{'>=' if merit.at_least is not None else '<='} {merit.limit:g} {merit.unit}".strip()
+    return number_with_unit(f"{'>=' if merit.at_least is not None else '<='} {merit.limit:g}", merit.unit)
 
 
 def _number(value: float | None) -> str:

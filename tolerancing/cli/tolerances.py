@@ -12,6 +12,7 @@ import typer
 from lensdesign.common.console import messages_only, print_json
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import GRADES, Design, Json, output_option
+from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
 
@@ -336,7 +337,9 @@ def _print_limits(found: StudyLimits, change: float | None) -> None:
     study = found.study
     for label, own in found.limits.items():
         (merit,) = (m for m in study.merits if m.label == label)
-        limit_text = merit.limit_text if change is None else f"worse by {change:g} {merit.unit}".strip()
+        limit_text = (
+            merit.limit_text if change is None else number_with_unit(f"worse by {change:g}", merit.unit)
+        )
         rows = [
             (
                 perturbation.column,
@@ -406,7 +409,7 @@ def _print_budget(study: Study, found: StudyBudget) -> None:
 
 
 def _tolerance(perturbation: Perturbation, scale: float = 1.0) -> str:
-    return f"{scale * perturbation.tolerance:.4g} {perturbation.unit}".strip()
+    return number_with_unit(f"{scale * perturbation.tolerance:.4g}", perturbation.unit)
 
 
 def _print_table(title: str, numbers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -268,7 +268,7 @@ class BarImagingChain:
         if np.hypot(*(extent + np.max(np.abs(shift_um)) * 1e-3)) > 0.5 * self.patch.field_stop_mm:
             raise InputError(
                 f"patch_mm = {self.patch.field_stop_mm:g}: the image is shifted by ({shift_um[0]:.3g}, "
-                f"{shift_um[1]:.3g}) um, so that bars lie outside the field stop: use a larger patch_mm"
+                f"{shift_um[1]:.3g}) µm, so that bars lie outside the field stop: use a larger patch_mm"
             )
         power = np.abs(transmission) ** 2
         displacement = self._displacement_mm(power, ends)

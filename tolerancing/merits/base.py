@@ -12,6 +12,7 @@ from pydantic import model_validator
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import FiniteNumber, FrozenModel, Positive
+from lensdesign.common.text import number_with_unit
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -141,7 +142,9 @@ class Merit(FrozenModel):
     @property
     def limit_text(self) -> str:
         """The limit in words."""
-        return f"{'at least' if self.at_least is not None else 'at most'} {self.limit:g} {self.unit}".strip()
+        return number_with_unit(
+            f"{'at least' if self.at_least is not None else 'at most'} {self.limit:g}", self.unit
+        )
 
     @property
     def location(self) -> str:
@@ -151,7 +154,7 @@ class Merit(FrozenModel):
     @property
     def details(self) -> tuple[str, ...]:
         """Settings of the merit other than its limit, in words."""
-        return () if self.wavelength_um is None else (f"light of {self.wavelength_um:g} um",)
+        return () if self.wavelength_um is None else (f"light of {self.wavelength_um:g} µm",)
 
     @property
     def meaning(self) -> str:

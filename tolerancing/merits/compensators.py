@@ -16,6 +16,7 @@ from pydantic import model_validator
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import Positive
+from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -141,9 +142,10 @@ def model_pupils(
         slopes.append((ends[0] - ends[1]) / (2.0 * STEP_FRACTION))
         effect = float(np.sqrt(np.mean(slopes[-1] ** 2))) * 1e3 / sampler.grid.wavelength_um
         if effect < least_effect_waves:
+            limit = number_with_unit(f"{compensator.limit:g}", compensator.unit)
             raise InputError(
-                f"compensator {compensator.column}: at its limit of {compensator.limit:g} {compensator.unit} "
-                f"it changes the pupil by only {effect:.2g} waves rms beyond shift and focus, at least "
+                f"compensator {compensator.column}: at its limit of {limit} it changes "
+                f"the pupil by only {effect:.2g} waves rms beyond shift and focus, at least "
                 f"{least_effect_waves:g} is needed: remove it, or give it a larger limit"
             )
     return ModelPupils(sampler, compensators, pivot_z_mm, np.array(slopes))

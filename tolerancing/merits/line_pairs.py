@@ -54,7 +54,7 @@ class LinePairContrast(PupilMerit):
 
     @property
     def details(self) -> tuple[str, ...]:
-        lines = (f"lines of {self.line_width_um:g} um", orientation_text(self.orientation), *super().details)
+        lines = (f"lines of {self.line_width_um:g} µm", orientation_text(self.orientation), *super().details)
         if self.used_level != "wave":
             return lines
         light = () if self.electrons is None else (f"{self.electrons:g} electrons in the brightest pixel",)
@@ -69,7 +69,7 @@ class LinePairContrast(PupilMerit):
         length = (2 * BARS - 1) * self.line_width_um
         if self.used_level == "wave" and length > self.patch_um:
             raise ValueError(
-                f"patch_um = {self.patch_um:g}: {BARS} bars of {self.line_width_um:g} um need {length:g} um "
+                f"patch_um = {self.patch_um:g}: {BARS} bars of {self.line_width_um:g} µm need {length:g} µm "
                 "or more"
             )
         return self

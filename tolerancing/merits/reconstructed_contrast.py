@@ -90,7 +90,7 @@ class ReconstructedContrast(Merit):
         if self.electrons is not None:
             light = f"{self.electrons:g} electrons in the brightest pixel, {self.bits} bits"
         return (
-            f"lines of {self.line_width_um:g} um",
+            f"lines of {self.line_width_um:g} µm",
             orientation_text(self.orientation),
             f"on a {self.ground} ground",
             light,
@@ -106,7 +106,7 @@ class ReconstructedContrast(Merit):
         needed_mm = 1e-3 * self.line_width_um * math.hypot(*sides)
         if needed_mm > self.patch_mm:
             raise ValueError(
-                f"patch_mm = {self.patch_mm:g}: bars of {self.line_width_um:g} um need a field stop of "
+                f"patch_mm = {self.patch_mm:g}: bars of {self.line_width_um:g} µm need a field stop of "
                 f"{needed_mm:.3g} mm or more"
             )
         return self

@@ -197,12 +197,12 @@ def _mounting(lens: Lens, grade: str) -> str:
     for axis in "xy":
         text += _perturbation("lens", f"decenter_{axis}_mm", decenter, f"+-{decenter:g} mm in its mount")
     for axis in "xy":
-        text += _perturbation("lens", f"tilt_{axis}_deg", tilt, f"+-{tilt:g} deg in its mount")
+        text += _perturbation("lens", f"tilt_{axis}_deg", tilt, f"+-{tilt:g}° in its mount")
     text += _perturbation("object", "working_distance_mm", distance, f"+-{distance:g} mm from object to lens")
     text += _perturbation("sensor", "distance_mm", distance, f"+-{distance:g} mm from lens to sensor")
     for axis in "xy":
         angle = mount.sensor_tilt_deg
-        text += _perturbation("sensor", f"tilt_{axis}_deg", angle, f"+-{angle:g} deg")
+        text += _perturbation("sensor", f"tilt_{axis}_deg", angle, f"+-{angle:g}°")
     return text
 
 
@@ -403,9 +403,9 @@ def _spread(lens: Lens, limit_deg: float) -> str:
     nominal = largest_spread_angle(lens).spread_deg
     if limit_deg >= 90.0:
         return "# No limit to the spread behind the lens: the pixels resolve every angle.\n"
-    at_most, comment = 1.02 * limit_deg, f"2 % above the {limit_deg:.4g} deg of Eq. 2"
+    at_most, comment = 1.02 * limit_deg, f"2 % above the {limit_deg:.4g}° of Eq. 2"
     if 1.01 * nominal > at_most:
-        at_most, comment = 1.01 * nominal, f"1 % above the nominal lens; Eq. 2 requires {limit_deg:.4g} deg"
+        at_most, comment = 1.01 * nominal, f"1 % above the nominal lens; Eq. 2 requires {limit_deg:.4g}°"
     return _table("merit", ("kind", "largest_spread_deg", ""), ("at_most", _number(at_most), comment))
 
 

@@ -171,8 +171,8 @@ class StudyAsBuilt:
         if own:
             known = ", ".join(f"{w:g}" for w in lens.wavelengths_um)
             raise DesignError(
-                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own if w is not None)} um: allowed "
-                f"in a search: the wavelengths of its specification, {known} um"
+                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own if w is not None)} µm: allowed "
+                f"in a search: the wavelengths of its specification, {known} µm"
             )
 
     def evaluate(self, problem: DesignProblem, point: Array, derivatives: bool) -> AsBuiltValues:

@@ -14,6 +14,7 @@ from lensdesign.common.lengths import (
     implausible_values,
     in_unit,
 )
+from lensdesign.common.text import number_with_unit
 from lensdesign.lens.lengths import LensLengths
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -64,7 +65,7 @@ def _plausible_deviation(one: PerturbedParameter, size: LensLengths, lens: Lens)
     """Return the plausible range of a deviation, in the parameter's unit; None if it is not a length."""
     if one.parameter == "wavelength_um":
         wavelength = 1e3 * size.wavelength_mm
-        reason = f"must be at most half of the wavelength of {wavelength:g} um"
+        reason = f"must be at most half of the wavelength of {wavelength:g} µm"
         return PlausibleLength(0.0, 0.5 * wavelength, (0.0, 0.5 * wavelength), reason)
     return size.of_parameter_mm(lens, one.target.split()[0], one.parameter, one.surface, one.plane)
 
@@ -75,7 +76,7 @@ def _plausible_step(one: PerturbedParameter, size: LensLengths, lens: Lens) -> P
     if plausible is None:
         return None
     most = 2.0 * plausible.highest
-    reason = f"must be at most {most:.3g} {one.unit}, far beyond any tolerance"
+    reason = f"must be at most {number_with_unit(f'{most:.3g}', one.unit)}, far beyond any tolerance"
     return replace(plausible, highest=most, reason=reason)
 
 

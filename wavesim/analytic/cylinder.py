@@ -76,7 +76,7 @@ class Cylinder:
         largest_size = 2e4
         if not 0.1 <= self.size_parameter <= largest_size:
             raise InputError(
-                f"radius_mm = {self.radius_mm:g} at {self.wavelength_um:g} um: the circumference of "
+                f"radius_mm = {self.radius_mm:g} at {self.wavelength_um:g} µm: the circumference of "
                 f"{self.size_parameter:.4g} wavelengths must be from 0.1 to {largest_size:g}"
             )
 
@@ -198,8 +198,8 @@ def outgoing_field(
     """
     if beam.wavelength_um != cylinder.wavelength_um:
         raise InputError(
-            f"the beam's wavelength of {beam.wavelength_um:g} um is not the cylinder's "
-            f"{cylinder.wavelength_um:g} um"
+            f"the beam's wavelength of {beam.wavelength_um:g} µm is not the cylinder's "
+            f"{cylinder.wavelength_um:g} µm"
         )
     y, z = np.broadcast_arrays(np.asarray(y_mm, float), np.asarray(z_mm, float))
     radius = np.hypot(y, z)

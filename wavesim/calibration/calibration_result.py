@@ -154,7 +154,7 @@ class Calibrated:
             return ""
         return (
             "the frames determine the common position of field stop and object only to "
-            f"{across:.2g}, {down:.2g} um (standard deviations); residuals do not show a displacement"
+            f"{across:.2g}, {down:.2g} µm (standard deviations); residuals do not show a displacement"
         )
 
     @property

@@ -252,7 +252,7 @@ class FreeSpaceField:
     def _rows(self) -> list[tuple[str, str]]:
         rows, columns = self.field.grid.shape
         return [
-            ("samples", f"{rows} x {columns} of {1e3 * self.field.grid.pitch_mm:.4g} um"),
+            ("samples", f"{rows} x {columns} of {1e3 * self.field.grid.pitch_mm:.4g} µm"),
             ("planes", f"{len(self.planes)}, distances x {self.distance_scale:.4f}"),
             ("iterations", f"{len(self.misfit)}, misfit {self.misfit[-1]:.4f}"),
         ]

@@ -214,10 +214,10 @@ def _moved(name: str, value: float) -> str:
 
 def _print_tables(summary: dict[str, Any]) -> None:
     x, y = summary["shift_um"]
-    for line in _title(summary, "um").split("\n"):
+    for line in _title(summary, "µm").split("\n"):
         print(visible(line))
     print(f"wavefront {summary['rms_waves']:.4f} waves rms, Strehl ratio {summary['strehl']:.4f}")
-    shift = f"x {decimals_text(x)} um, y {decimals_text(y)} um"
+    shift = f"x {decimals_text(x)} µm, y {decimals_text(y)} µm"
     print(f"image shift {shift}; throughput {summary['throughput']:.4f}")
     smallest = [summary[f"smallest_resolved_line_width_{axis}_um"] for axis in "xy"]
     pairs = [
@@ -225,10 +225,10 @@ def _print_tables(summary: dict[str, Any]) -> None:
             (f"{row['line_width_um']:g}", f"{row['contrast_x']:.3f}", f"{row['contrast_y']:.3f}")
             for row in summary["line_pairs"]
         ),
-        ("smallest resolved", *("none" if s is None else f"{s:.3f} um" for s in smallest)),
+        ("smallest resolved", *("none" if s is None else f"{s:.3f} µm" for s in smallest)),
     ]
     print()
-    print_table((), ("line width (um)", "contrast, lines across x", "across y"), pairs)
+    print_table((), ("line width (µm)", "contrast, lines across x", "across y"), pairs)
     transfer = [
         (f"{row['frequency_lp_per_mm']:.0f}", f"{row['modulation_x']:.3f}", f"{row['modulation_y']:.3f}")
         for row in summary["mtf"]

@@ -125,7 +125,7 @@ def _print(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> None
         )
     print(f"free space, numerical aperture {found.stack.aperture:.3g}: {len(found.misfit)} iterations")
     print()
-    print_table((), ("plane (mm)", "estimated (mm)", "shift x, y (um)", "gain", "correlation"), rows)
+    print_table((), ("plane (mm)", "estimated (mm)", "shift x, y (µm)", "gain", "correlation"), rows)
     print()
     print(f"estimated distances: {found.distance_scale:.4f} times the stated ones")
     print(f"misfit {summary['misfit']:.4f} (expected from noise alone: {summary['misfit_of_noise']:.4f})")

@@ -252,7 +252,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     print(visible(str(summary["design"])))
     print(
         f"object {thing['name']}, {stop_words(thing['field_stop_mm'], thing['field_stop_at_mm'])}, "
-        f"{thing['samples']} x {thing['samples']} samples of {thing['pitch_um']:.4g} um"
+        f"{thing['samples']} x {thing['samples']} samples of {thing['pitch_um']:.4g} µm"
     )
     if "finest_line_um" in thing:
         ends = {
@@ -260,13 +260,13 @@ def _print(summary: dict[str, Any], output: Path) -> None:
             "chart": "the finest of the chart",
         }[thing["finest_limited_by"]]
         print(
-            f"finest lines {thing['finest_line_um']:.3g} um: {ends}; "
-            f"the aperture passes {thing['aperture_passes_um']:.3g} um (wavelength / 2 NA)"
+            f"finest lines {thing['finest_line_um']:.3g} µm: {ends}; "
+            f"the aperture passes {thing['aperture_passes_um']:.3g} µm (wavelength / 2 NA)"
         )
     print(f"engine {engine['name']}, predicted relative error {predicted}")
     print(f"  {settings_text(engine['settings'])}")
     print(
-        f"sensor: central {across} x {down} pixels of {sensor['pixel_pitch_um']:g} um; "
+        f"sensor: central {across} x {down} pixels of {sensor['pixel_pitch_um']:g} µm; "
         f"{100.0 * summary['energy_share_beyond_pixel_limit']:.2g} % of the light lies above their Nyquist "
         f"limit of {summary['pixel_limit_per_mm']:.4g} per mm"
     )

@@ -370,7 +370,7 @@ def _summary_lines(summary: dict[str, Any]) -> list[str]:
     if "engine_replaced" in summary:
         lines.append(summary["engine_replaced"]["words"])
     if "source_deg" in summary:
-        lines.append(f"diameter of the light source {summary['source_deg']:.3g} deg")
+        lines.append(f"diameter of the light source {summary['source_deg']:.3g}°")
     if "bandwidth_nm" in summary:
         lines.append(f"bandwidth of the light {summary['bandwidth_nm']:.3g} nm")
     if summary["region_mm"] is not None:
@@ -379,7 +379,7 @@ def _summary_lines(summary: dict[str, Any]) -> list[str]:
             f"region of the object: {width:.4g} mm x {height:.4g} mm, centred at {x:.4g}, {y:.4g} mm"
         )
     if summary["refocus_um"] is not None:
-        lines.append(f"best focus {summary['refocus_um']:.2f} um behind the object plane")
+        lines.append(f"best focus {summary['refocus_um']:.2f} µm behind the object plane")
     if summary["truth"]:
         shown = {n: "none" if value is None else f"{value:.4g}" for n, value in summary["truth"].items()}
         lines.append(
@@ -402,7 +402,7 @@ def _displacement(truth: dict[str, float | None], pitch_um: float) -> list[str]:
     if x is None or y is None or max(abs(x), abs(y)) < SHOWN_DISPLACEMENT * pitch_um:
         return []
     return [
-        f"displaced by {x:.3g}, {y:.3g} um from the true object (x, y); without this displacement the "
+        f"displaced by {x:.3g}, {y:.3g} µm from the true object (x, y); without this displacement the "
         f"correlation is {truth['correlation_registered']:.4g}"
     ]
 
@@ -415,14 +415,14 @@ def _resolved(chart: dict[str, Any]) -> list[str]:
     if finest is None:
         return ["no element of the chart is resolved", f"  limit: {chart['limit']}", *_place_of(chart)]
     beyond = (
-        f", finer than the diffraction limit of {chart['aperture_passes_um']:.3g} um (wavelength / 2 NA), "
+        f", finer than the diffraction limit of {chart['aperture_passes_um']:.3g} µm (wavelength / 2 NA), "
         "due to the method's assumptions about the object"
     )
     x, y = (chart[f"smallest_resolved_{way}"]["line_width_um"] for way in "xy")
     return [
         f"resolved down to group {finest['group']}, element {finest['element']}: lines of "
-        f"{finest['line_width_um']:.3g} um{beyond if finest['beyond_aperture'] else ''}",
-        f"  bars repeated along x: {x:.3g} um; along y: {y:.3g} um",
+        f"{finest['line_width_um']:.3g} µm{beyond if finest['beyond_aperture'] else ''}",
+        f"  bars repeated along x: {x:.3g} µm; along y: {y:.3g} µm",
         f"  limit: {chart['limit']}",
         *_place_of(chart),
     ]
@@ -436,9 +436,9 @@ def _place_of(chart: dict[str, Any]) -> list[str]:
     lines = []
     if max(abs(found["x_samples"]), abs(found["y_samples"])) >= SHOWN_DISPLACEMENT:
         lines.append(
-            f"  chart displaced by {found['x_um']:.3g}, {found['y_um']:.3g} um (x, y), which does not reduce "
+            f"  chart displaced by {found['x_um']:.3g}, {found['y_um']:.3g} µm (x, y), which does not reduce "
             "the resolution"
         )
     if found["scale"] != 1.0 or found["rotation_deg"] != 0.0:
-        lines.append(f"  chart scaled by {found['scale']:.4f} and rotated by {found['rotation_deg']:.3f} deg")
+        lines.append(f"  chart scaled by {found['scale']:.4f} and rotated by {found['rotation_deg']:.3f}°")
     return lines

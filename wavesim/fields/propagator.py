@@ -109,7 +109,7 @@ class FreeSpacePropagator:
         check_sample_count(
             method.counts,
             f"propagation from {centres_mm(self.source)} to {centres_mm(self.target)} mm over "
-            f"{distance_mm:.4g} mm at a pitch of {1e3 * self.source.pitch_mm:.4g} um",
+            f"{distance_mm:.4g} mm at a pitch of {1e3 * self.source.pitch_mm:.4g} µm",
         )
         field = Field(self.source, values, self.wavelength_um, self.index)
         check_propagation(

@@ -243,7 +243,7 @@ def check_propagation(
     report_loss(
         found.edge,
         f"lies between {EDGE * nyquist:.4g} and {nyquist:.4g} cycles/mm, the edge of the Nyquist band of a "
-        f"pitch of {1e3 * source.pitch_mm:.4g} um, so about as much beyond it may be aliased",
+        f"pitch of {1e3 * source.pitch_mm:.4g} µm, so about as much beyond it may be aliased",
         "sample the field more finely, or smooth its edges",
     )
     report_loss(
@@ -263,7 +263,7 @@ def check_propagation(
         report_loss(
             found.coarse,
             f"reaches the output above {0.5 / target.pitch_mm:.4g} cycles/mm, the Nyquist limit of its "
-            f"pitch of {1e3 * target.pitch_mm:.4g} um",
+            f"pitch of {1e3 * target.pitch_mm:.4g} µm",
             "give a finer output pitch, or accept coarse samples (coarse_output=True)",
         )
     if 0.0 < found.landing < WARNED or (found.landing == 0.0 and field.energy > 0.0):
@@ -311,7 +311,7 @@ def check_tilted_propagation(method: RotatedSpectrum, values: Any, coarse_output
     pitch_in, pitch_out = 1e3 * method.source.pitch_mm, 1e3 * method.target.pitch_mm
     report_loss(
         parts["edge"],
-        f"lies at the edge of the Nyquist band of a pitch of {pitch_in:.4g} um",
+        f"lies at the edge of the Nyquist band of a pitch of {pitch_in:.4g} µm",
         "sample the field more finely, or smooth its edges",
     )
     report_loss(
@@ -325,8 +325,8 @@ def check_tilted_propagation(method: RotatedSpectrum, values: Any, coarse_output
     if not coarse_output:
         report_loss(
             parts["fine"],
-            f"has frequencies above the Nyquist limit of the output pitch of {pitch_out:.4g} um",
-            f"give a pitch of {1e3 * method.finest_pitch_mm:.4g} um or less, or accept coarse samples "
+            f"has frequencies above the Nyquist limit of the output pitch of {pitch_out:.4g} µm",
+            f"give a pitch of {1e3 * method.finest_pitch_mm:.4g} µm or less, or accept coarse samples "
             "(coarse_output=True)",
         )
 

@@ -215,7 +215,7 @@ class RotatedSpectrum:
 def _rotation(grid: Grid, tilt_deg: tuple[float, float]) -> Array:
     about_x, about_y = tilt_deg
     if not (abs(about_x) < 90.0 and abs(about_y) < 90.0):
-        raise InputError(f"tilt_deg = {tilt_deg}: both must lie between -90 and 90 deg")
+        raise InputError(f"tilt_deg = {tilt_deg}: both must lie between -90 and 90°")
     if grid.is_line and about_y != 0.0:
         raise InputError(f"tilt_deg = {tilt_deg}: a meridional line has only a tilt about x")
     return rotation_matrix(np.deg2rad(about_x), np.deg2rad(about_y))

@@ -146,12 +146,12 @@ class ChartResolution:
         """Return the limit of the finest element in words."""
         if not self.contrasts and self.limits == ("region",):
             return "no element of the chart lies within the displayed part"
-        lines = "" if self.next_um is None else f" ({self.next_um:.3g} um)"
+        lines = "" if self.next_um is None else f" ({self.next_um:.3g} µm)"
         which = "the next finer lines" if self.finest is not None else "even the coarsest lines shown"
         says = {
             "result": f"{which}{lines} are not resolved",
-            "aperture": f"the aperture passes none finer than {self.passed_um:.3g} um (wavelength / 2 NA)",
-            "sampling": f"samples of {self.sample_um:.3g} um hardly show the next finer lines{lines}",
+            "aperture": f"the aperture passes none finer than {self.passed_um:.3g} µm (wavelength / 2 NA)",
+            "sampling": f"samples of {self.sample_um:.3g} µm hardly show the next finer lines{lines}",
             "chart": "the chart has no finer lines",
             "region": f"the next finer lines{lines} lie outside the displayed part",
         }

@@ -135,7 +135,7 @@ def step_maps() -> Iterator[FailureMap]:
             case = analytic_case("tilted-plate", incidence_deg=incidence)
             return _run(engine_for(case.scene, "wpm", step_um=step_um, interface=kind), case)
 
-        labels = ("step (um)", "angle of incidence (deg)")
+        labels = ("step (µm)", "angle of incidence (°)")
         name = f"wave propagation method, {kind}"
         yield _map(f"wpm_{kind}", name, labels, STEPS_UM, INCIDENCES_DEG, cell)
 
@@ -162,7 +162,7 @@ def free_space_maps() -> Iterator[FailureMap]:
             seen = carried(False) if found is None else found
             return relative_error(seen.values, exact), guard
 
-        labels = ("distance (mm)", "pitch (um)")
+        labels = ("distance (mm)", "pitch (µm)")
         yield _map(name, method, labels, DISTANCES_MM, PITCHES_UM, cell)
 
 

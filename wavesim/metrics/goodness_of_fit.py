@@ -253,7 +253,7 @@ def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
 
 def _in_words(one: Undetected) -> str:
     name, unit = one.parameter.rsplit("_", 1)
-    size, unit = (1e3 * one.size, "um") if unit == "mm" else (one.size, unit)
+    size, unit = (1e3 * one.size, "µm") if unit == "mm" else (one.size, unit)
     return f"{name.replace('_', ' ')} {size:.2g} {unit}"
 
 

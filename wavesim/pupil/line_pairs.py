@@ -108,7 +108,7 @@ def line_pair_displacement_um(
     total = weights.sum()
     if total == 0.0:
         raise InputError(
-            f"no light of the first orders of {line_width_um:g} um lines, lit along the axis, gets through "
+            f"no light of the first orders of {line_width_um:g} µm lines, lit along the axis, gets through "
             "this pupil: choose a field point nearer to the axis"
         )
     offset = cosines - (weights @ cosines) / total
@@ -250,7 +250,7 @@ def _target(grid: PupilGrid, width_um: float, axis: int, bars: int) -> _Target:
     validate_positive("line_width_um", width_um)
     validate_whole_number("bars", bars, 2)
     validate_pupil_width(
-        grid, (2 * bars + 3) * width_um, f"a target of {bars} bars of {width_um:g} um, with its edge,"
+        grid, (2 * bars + 3) * width_um, f"a target of {bars} bars of {width_um:g} µm, with its edge,"
     )
     cosines = grid.axes[axis]
     bar_spectrum = _bar_spectrum(grid, width_um, axis, bars, whole=False)

@@ -67,7 +67,7 @@ class PatchGrid:
         if not (math.isfinite(line_width_um) and 0.0 < length <= self.side_um):
             raise InputError(
                 f"line_width_um = {line_width_um!r}: {bars} bars and their gaps must be above 0 wide and fit "
-                f"into the patch of {self.side_um:g} um"
+                f"into the patch of {self.side_um:g} µm"
             )
         starts = 2.0 * line_width_um * np.arange(bars) - 0.5 * length
         across = np.sum([self._covered(start, start + line_width_um) for start in starts], axis=0)

@@ -119,7 +119,7 @@ class PatchReconstructor:
         if grid.samples < needed:
             raise SamplingError(
                 f"samples = {self.samples}: the reconstruction repeats with a period of {grid.window_um:.4g} "
-                f"um, which must be at least {least_window:g} times the patch of {self.patch_um:g} um: raise "
+                f"um, which must be at least {least_window:g} times the patch of {self.patch_um:g} µm: raise "
                 f"samples to at least {needed}, or use a smaller patch"
             )
         return rays

@@ -470,8 +470,8 @@ def validate_pupil_width(grid: PupilGrid, width_um: float, what: str) -> None:
     if width_um > grid.window_um:
         needed = int(np.ceil(grid.samples * width_um / grid.window_um))
         raise SamplingError(
-            f"{what} is {width_um:.4g} um wide, but a pupil of {grid.samples} samples repeats after "
-            f"{grid.window_um:.4g} um: raise samples to at least {needed} or make it narrower"
+            f"{what} is {width_um:.4g} µm wide, but a pupil of {grid.samples} samples repeats after "
+            f"{grid.window_um:.4g} µm: raise samples to at least {needed} or make it narrower"
         )
 
 

@@ -215,8 +215,8 @@ class StopSearch:
         if (stop, iterations) in self._misfits:
             return self._misfits[stop, iterations]
         self.progress(
-            f"field stop: {1e3 * stop.width_mm:.3g} um at {1e3 * stop.at_mm[0]:.3g}, "
-            f"{1e3 * stop.at_mm[1]:.3g} um"
+            f"field stop: {1e3 * stop.width_mm:.3g} µm at {1e3 * stop.at_mm[0]:.3g}, "
+            f"{1e3 * stop.at_mm[1]:.3g} µm"
         )
         found = reconstruct(
             self.engine,

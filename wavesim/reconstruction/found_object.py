@@ -167,13 +167,13 @@ class FoundObject:
         curve_name = "correlation A6" if settings.method == "paper" else "misfit"
         lines = [
             ("method", f"{settings.method}, engine {self.engine.name}"),
-            ("samples", f"{rows} x {columns} of {1e3 * self.transmission.grid.pitch_mm:.4g} um"),
+            ("samples", f"{rows} x {columns} of {1e3 * self.transmission.grid.pitch_mm:.4g} µm"),
             ("field stop", f"{self.patch.stop_words}, {STOP_ORIGINS[settings.field_stop_from]}"),
             ("iterations", f"{len(self.curve)}, {curve_name} {self.curve[-1]:.5g}"),
         ]
         lines.append(("verdict", self.verdict.words))
         if self.focus is not None:
-            lines.append(("sharpest", f"{1e3 * self.focus.distance_mm:.2f} um behind the object plane"))
+            lines.append(("sharpest", f"{1e3 * self.focus.distance_mm:.2f} µm behind the object plane"))
         return lines + [(name, f"{value:.4g}") for name, value in self.truth.items() if value is not None]
 
 

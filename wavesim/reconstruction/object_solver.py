@@ -113,7 +113,7 @@ class Reconstructed:
     def _rows(self) -> list[tuple[str, str]]:
         grid, why = self.transmission.grid, STOPPED[self.stopped_because]
         return [
-            ("samples", f"{grid.shape[0]} x {grid.shape[1]} of {1e3 * grid.pitch_mm:.4g} um"),
+            ("samples", f"{grid.shape[0]} x {grid.shape[1]} of {1e3 * grid.pitch_mm:.4g} µm"),
             ("iterations", f"{len(self.misfit)}, misfit {self.misfit[-1]:.5g}{why}"),
             ("planes", f"{len(self.residual_maps)}, scale {self.scale:.4g}"),
         ]
@@ -509,6 +509,6 @@ def _validate_modes(
     others = {mode.wavelength_um for mode in modes} - {illumination.wavelength_um}
     if others and (rows or not isinstance(operator, Engine)):
         raise InputError(
-            f"modes: must all be of {illumination.wavelength_um:g} um, as the illumination is, because the "
-            f"operator has no model for {min(others):g} um"
+            f"modes: must all be of {illumination.wavelength_um:g} µm, as the illumination is, because the "
+            f"operator has no model for {min(others):g} µm"
         )

@@ -65,7 +65,7 @@ def find_source(
         largest_width = BROADEST * coherent_width
     else:
         known = Source(bandwidth_nm=settings.bandwidth_nm)
-        coherent_width, message = coherent_deg(light), "width of the source: {:.3g} deg"
+        coherent_width, message = coherent_deg(light), "width of the source: {:.3g}°"
         largest_width = math.inf
 
     def source_of(width: float) -> Source:

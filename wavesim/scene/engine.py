@@ -314,8 +314,8 @@ class Engine(ABC):
             raise InputError(f"the field's grid {field.grid} is not the scene's {which} grid {grid}")
         if field.wavelength_um != self.scene.wavelength_um:
             raise InputError(
-                f"the field's wavelength of {field.wavelength_um:g} um is not the scene's "
-                f"{self.scene.wavelength_um:g} um"
+                f"the field's wavelength of {field.wavelength_um:g} µm is not the scene's "
+                f"{self.scene.wavelength_um:g} µm"
             )
         if not math.isfinite(abs(complex(field.values.sum()))):
             raise InputError("the field contains values that are not finite: remove NaN and infinities")

@@ -43,7 +43,7 @@ class LightErrors:
 
     def __post_init__(self) -> None:
         if len(self.tilt_deg) != 2 or not all(abs(tilt) < 90.0 for tilt in self.tilt_deg):
-            raise InputError(f"light tilt_deg = {self.tilt_deg!r}: must be two angles between -90 and 90 deg")
+            raise InputError(f"light tilt_deg = {self.tilt_deg!r}: must be two angles between -90 and 90°")
         for name in ("amplitude", "phase_waves"):
             for orders, value in getattr(self, name).items():
                 if len(orders) != 2 or min(orders) < 0 or orders == (0, 0):

@@ -134,7 +134,7 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
     if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:
         raise SamplingError(
             f"plane_distance_mm = {plane_distance_mm:g}: the field's light is {2.0 * half:.3g} mm wide and "
-            f"needs a pitch of {1e3 * pitch:.3g} um, which exceeds {MOST_SAMPLES:.3g} samples (the limit)"
+            f"needs a pitch of {1e3 * pitch:.3g} µm, which exceeds {MOST_SAMPLES:.3g} samples (the limit)"
         )
     count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
     return Grid((count,) * dimensions, pitch, lens.exit_vertex_z_mm + plane_distance_mm)

@@ -50,6 +50,6 @@ class Light:
         field = self.field
         if (field.grid, field.wavelength_um) != (scene.object_grid, scene.wavelength_um):
             raise InputError(
-                f"light on the grid {field.grid}, of {field.wavelength_um:g} um: must be the scene's, "
-                f"{scene.object_grid}, of {scene.wavelength_um:g} um"
+                f"light on the grid {field.grid}, of {field.wavelength_um:g} µm: must be the scene's, "
+                f"{scene.object_grid}, of {scene.wavelength_um:g} µm"
             )

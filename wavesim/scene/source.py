@@ -59,7 +59,7 @@ class Source:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.width_deg < 90.0:
-            raise InputError(f"source width_deg = {self.width_deg!r}: must be from 0 to below 90 deg")
+            raise InputError(f"source width_deg = {self.width_deg!r}: must be from 0 to below 90°")
         if not 0.0 <= self.bandwidth_nm < math.inf:
             raise InputError(f"source bandwidth_nm = {self.bandwidth_nm!r}: must be finite, and not negative")
 

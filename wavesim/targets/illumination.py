@@ -67,7 +67,7 @@ def plane_wave(
     validate_positive("index", index)
     for name, tilt in (("tilt_x_deg", tilt_x_deg), ("tilt_y_deg", tilt_y_deg)):
         if not abs(tilt) < 90.0:
-            raise InputError(f"{name} = {tilt!r}: must lie between -90 and 90 deg")
+            raise InputError(f"{name} = {tilt!r}: must lie between -90 and 90°")
     if grid.is_line and tilt_x_deg != 0.0:
         raise InputError(f"tilt_x_deg = {tilt_x_deg:g}: a meridional line has no x; give 0")
     slopes = math.tan(math.radians(tilt_x_deg)), math.tan(math.radians(tilt_y_deg))
@@ -77,8 +77,8 @@ def plane_wave(
     if steepest * grid.pitch_mm >= 0.5:
         raise SamplingError(
             f"tilt_x_deg = {tilt_x_deg:g}, tilt_y_deg = {tilt_y_deg:g}: the wave has {steepest:.4g} "
-            f"cycles/mm, too many for a pitch of {1e3 * grid.pitch_mm:.4g} um; use a pitch below "
-            f"{500.0 / steepest:.4g} um"
+            f"cycles/mm, too many for a pitch of {1e3 * grid.pitch_mm:.4g} µm; use a pitch below "
+            f"{500.0 / steepest:.4g} µm"
         )
     down = np.exp(2j * math.pi * cycles_y * (grid.y_mm - grid.centre_mm[1]))
     if grid.is_line:
@@ -320,7 +320,7 @@ def _check_frequencies(values: ComplexArray, source: Grid, grid: Grid) -> None:
     report_loss(
         float(np.sum(power[fine])) / total,
         f"lies above {limit:.4g} cycles/mm, too high for interpolation from a pitch of "
-        f"{1e3 * source.pitch_mm:.4g} um to a pitch of {1e3 * grid.pitch_mm:.4g} um",
+        f"{1e3 * source.pitch_mm:.4g} µm to a pitch of {1e3 * grid.pitch_mm:.4g} µm",
         "sample the measurement more finely, or use a smaller pitch or the measurement's own grid",
     )
 

@@ -220,8 +220,8 @@ def phase_target(
     if profile == "smooth" and abs(phase_rad) * pitch_um > pad_um:
         # The steepest slope of phase cos^2(pi x / pad) is pi phase / pad.
         raise SamplingError(
-            f"phase_rad = {phase_rad:g}: on pads of {pad_um:g} um it changes by more than pi within the "
-            f"grid's pitch of {pitch_um:.4g} um; give a pitch below {pad_um / abs(phase_rad):.4g} um"
+            f"phase_rad = {phase_rad:g}: on pads of {pad_um:g} µm it changes by more than pi within the "
+            f"grid's pitch of {pitch_um:.4g} µm; give a pitch below {pad_um / abs(phase_rad):.4g} µm"
         )
     transmission = np.ones(grid.shape, complex)
     for pad, phase in pads:
@@ -288,7 +288,7 @@ def picture_target(
     rows, columns = grey.shape
     if finer == "refuse" and pixel < grid.pitch_mm * ROUNDING:
         raise SamplingError(
-            f"pixel_um = {pixel_um:g}: finer than the grid's pitch of {1e3 * grid.pitch_mm:.4g} um; "
+            f"pixel_um = {pixel_um:g}: finer than the grid's pitch of {1e3 * grid.pitch_mm:.4g} µm; "
             "use larger pixels or a smaller pitch"
         )
     validate_inside(grid, rectangle(grid.centre_mm, columns * pixel, rows * pixel))
@@ -405,8 +405,8 @@ def band_limit(
     limit = 1e3 * numerical_aperture / wavelength_um
     if grid.pitch_mm * ROUNDING > 0.5 / limit:
         raise SamplingError(
-            f"numerical_aperture = {numerical_aperture:g}: requires a pitch of {500.0 / limit:.4g} um or "
-            f"less at {wavelength_um:g} um; the grid's pitch is {1e3 * grid.pitch_mm:.4g} um"
+            f"numerical_aperture = {numerical_aperture:g}: requires a pitch of {500.0 / limit:.4g} µm or "
+            f"less at {wavelength_um:g} µm; the grid's pitch is {1e3 * grid.pitch_mm:.4g} µm"
         )
     squared = sum(across**2 for across in fft_frequencies(grid.shape, grid.pitch_mm))
     return np.asarray(

@@ -46,7 +46,7 @@ def region_grid(grid: Grid, region_mm: Sequence[float], named: str = "region_mm"
     if min(rows, columns) < LEAST_SAMPLES:
         raise InputError(
             f"{named} = {','.join(f'{n:g}' for n in region_mm)}: has {columns} x {rows} samples of "
-            f"{1e3 * grid.pitch_mm:.4g} um; must be at least {LEAST_SAMPLES} x {LEAST_SAMPLES}"
+            f"{1e3 * grid.pitch_mm:.4g} µm; must be at least {LEAST_SAMPLES} x {LEAST_SAMPLES}"
         )
     return replace(grid, shape=(rows, columns), centre_mm=(1e-3 * x_um, 1e-3 * y_um))
 

@@ -259,9 +259,9 @@ def _resolved_by_grid(elements: Sequence[UsafElement], grid: Grid, condition: st
     shown = tuple(one for one in elements if one.line_width_um >= narrowest)
     if not shown:
         raise SamplingError(
-            f"the grid's pitch of {1e3 * grid.pitch_mm:.4g} um: too coarse for lines of "
-            f"{elements[0].line_width_um:.4g} um, the widest that {condition}; give a pitch of "
-            f"{elements[0].line_width_um / SAMPLES_PER_FEATURE:.4g} um or less"
+            f"the grid's pitch of {1e3 * grid.pitch_mm:.4g} µm: too coarse for lines of "
+            f"{elements[0].line_width_um:.4g} µm, the widest that {condition}; give a pitch of "
+            f"{elements[0].line_width_um / SAMPLES_PER_FEATURE:.4g} µm or less"
         )
     return shown
 

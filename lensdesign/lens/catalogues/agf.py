@@ -485,7 +485,7 @@ def _read_range(draft: _Draft, rest: str, location: str) -> None:
     if len(values) < 2 or not 0.0 < values[0] < values[1]:
         raise MaterialError(
             f"{location}: LD record of glass {draft.name} is {_shown(rest.strip())}; it must give the "
-            "shortest and the longest wavelength in um, 0 < shortest < longest"
+            "shortest and the longest wavelength in µm, 0 < shortest < longest"
         )
     draft.wavelength_range_um = (values[0], values[1])
 

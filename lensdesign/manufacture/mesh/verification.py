@@ -87,7 +87,7 @@ class MeshReport:
             if side.greatest_um is None:
                 found.append(f"no part of the mesh belongs to {name}")
             elif not side.greatest_um <= self.chord_error_um:
-                found.append(f"{name}: {side.greatest_um:.4g} um off; allowed: {self.chord_error_um:g} um")
+                found.append(f"{name}: {side.greatest_um:.4g} µm off; allowed: {self.chord_error_um:g} µm")
         return tuple(found)
 
     def as_dict(self) -> dict[str, Any]:

@@ -20,6 +20,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.deadlines import DeadlineExceeded, no_deadline
+from lensdesign.common.text import number_with_unit
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.limits.limited_quantities import LimitedQuantity, limited_quantities
@@ -307,7 +308,9 @@ class _LimitSearch:
 
     def _reaches(self, value: float, glasses: str, point: Array) -> bool:
         """Return whether a search from a point finds a lens for a value, and record the lens."""
-        self.report(f"{self.quantity.name}: {value:.4g} {self.quantity.unit}".rstrip() + f", {glasses}")
+        self.report(
+            number_with_unit(f"{self.quantity.name}: {value:.4g}", self.quantity.unit) + f", {glasses}"
+        )
         found = self._search(value, glasses, point)
         if found is None or found.outcome.violation > ACCEPTED_VIOLATION:
             self.failed += 1

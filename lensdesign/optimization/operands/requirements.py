@@ -223,4 +223,4 @@ def _sine(lens: Lens, wavelength: float) -> float:
 
 def _named(name: str, wavelength: float, state: State) -> str:
     lone = len(state.lens.wavelengths_um) == 1
-    return named_at(name if lone else f"{name} ({wavelength:g} um)", state.temperature_c)
+    return named_at(name if lone else f"{name} ({wavelength:g} µm)", state.temperature_c)

@@ -24,9 +24,7 @@ def report(paper_lens: Lens) -> CheckReport:
 def test_the_paper_lens_misses_equation_2_and_nothing_else(report: CheckReport) -> None:
     assert not report.feasible
     (sentence,) = report.violations
-    assert sentence.startswith(
-        "Eq. 2: the largest spread angle of 4.8105 deg exceeds the limit of 4.7682 deg"
-    )
+    assert sentence.startswith("Eq. 2: the largest spread angle of 4.8105° exceeds the limit of 4.7682°")
     assert "by 0.9 %" in sentence
     assert "field height 1.5 mm" in sentence
     assert [c.name for c in report.constraints if not c.met] == ["largest spread angle (Eq. 2)"]
@@ -37,9 +35,9 @@ def test_a_design_file_will_do(paper_design: Path, report: CheckReport) -> None:
 
 
 def test_the_report_shows_itself(report: CheckReport) -> None:
-    assert repr(report).endswith("not met: 1, spread 4.8105 of 4.7682 deg, resolution 0.532 um>")
+    assert repr(report).endswith("not met: 1, spread 4.8105 of 4.7682°, resolution 0.532 µm>")
     shown = report._repr_html_()
-    assert "not met: 4.8105 &lt;= 4.76821 deg" in shown
+    assert "not met: 4.8105 &lt;= 4.76821°" in shown
     assert shown.count("<tr>") == len(report.constraints) + 3
 
 
@@ -135,7 +133,7 @@ def test_vignetting(paper_lens: Lens) -> None:
     (sentence,) = report.violations
     assert sentence.startswith("throughput: ")
     assert f"{100.0 * report.throughput:.4g} %" in sentence
-    assert "at 0.532 um" in sentence
+    assert "at 0.532 µm" in sentence
 
 
 def test_numerical_aperture_that_is_not_reached(paper_lens: Lens) -> None:

@@ -145,7 +145,7 @@ def test_a_lens_without_light_is_refused(paper_lens: Lens) -> None:
     blocked = paper_lens.with_surface(1, semi_diameter_mm=0.01).with_surface(0, semi_diameter_mm=0.5)
     far = blocked.replaced(object=paper_lens.object.model_copy(update={"field_diameter_mm": 300.0}))
     assert math.isnan(largest_spread_angle(far, 0.532).per_field_deg[-1])
-    with pytest.raises(DesignError, match=r"no ray.*0\.532 um"):
+    with pytest.raises(DesignError, match=r"no ray.*0\.532 µm"):
         largest_spread_angle(far, 0.532, [150.0])
 
 

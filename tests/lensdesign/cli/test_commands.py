@@ -44,7 +44,7 @@ def test_check_in_words(command: Command, paper_design: Path) -> None:
     code, out, err = command("check", paper_design)
     assert code == 1
     assert err == ""
-    assert "not met: Eq. 2: the largest spread angle of 4.8105 deg exceeds the limit of 4.7682 deg" in out
+    assert "not met: Eq. 2: the largest spread angle of 4.8105° exceeds the limit of 4.7682°" in out
     assert "Spatial information transfer lens" in out
     assert out.count("not met") == 2  # in the table and as a sentence
 
@@ -198,7 +198,7 @@ def test_several_wavelengths_are_told_one_by_one(command: Command, tmp_path: Pat
     _, out, _ = command("optimize", spec, "-o", output, "--starts", 1)
     assert "smallest spread, fraction of its limit" in out
     for wavelength in ("0.532", "0.62"):
-        assert f"spread at {wavelength} um" in out
+        assert f"spread at {wavelength} µm" in out
     shares = [s["share"] for s in json.loads(command("optimize", spec, "-o", output, "--json")[1])["spreads"]]
     assert shares[0] > shares[1] > 0.5
 
@@ -349,7 +349,7 @@ def test_lengths_in_another_unit_are_not_imported(
     file, back = tmp_path / "lens.zmx", tmp_path / "back.toml"
     assert command("export", paper_design, file)[0] == 0
     for option, value, meant in (
-        ("--pixel-pitch-um", 0.0032, "3.2 um"),
+        ("--pixel-pitch-um", 0.0032, "3.2 µm"),
         ("--working-distance-mm", 13500, "13.5 mm"),
         ("--field-diameter-mm", 3000, "3 mm"),
         ("--plane-distance-mm", 2000, "2 mm"),
@@ -365,7 +365,7 @@ def test_lengths_in_another_unit_are_not_imported(
 def test_a_wavelength_of_a_ghost_is_in_micrometres(command: Command, paper_design: Path) -> None:
     status, _, err = command("ghost", paper_design, "--wavelength-um", 532)
     assert status == 2
-    assert "--wavelength-um = 532: must be 0.05 to 50, in micrometres; 0.532 um may be meant" in err
+    assert "--wavelength-um = 532: must be 0.05 to 50, in micrometres; 0.532 µm may be meant" in err
 
 
 def test_a_lens_off_its_axis_is_imported_with_a_loss(
@@ -433,7 +433,7 @@ def test_glass_refuses_what_is_none(command: Command) -> None:
     assert_refused(command("glass", "N-BK77"), "did you mean N-BK7")
     assert_refused(command("glass", "0.5"), "at least 1")
     assert_refused(command("glass", "nan"), "at least 1")
-    assert_refused(command("glass", "N-BK7", "--wavelength-um", 9), "0.3 to 2.5 um")
+    assert_refused(command("glass", "N-BK7", "--wavelength-um", 9), "0.3 to 2.5 µm")
     assert_refused(command("glass", "N-BK7", "--glass-catalog", "none.agf"), "none.agf")
 
 

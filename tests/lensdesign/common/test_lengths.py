@@ -27,7 +27,7 @@ def test_a_wavelength_in_another_unit_is_questioned(value: float, meant: str | N
         assert not found
     else:
         assert found == [
-            f"wavelengths_um = {value:g}: must be 0.05 to 50, in micrometres; {meant} um may be meant"
+            f"wavelengths_um = {value:g}: must be 0.05 to 50, in micrometres; {meant} µm may be meant"
         ]
 
 
@@ -45,7 +45,7 @@ def test_either_sign_is_judged_alike_and_0_is_plausible() -> None:
 
 
 def test_a_range_in_another_unit_is_the_same_range() -> None:
-    assert in_unit(WIDTH, "um").objection(2e6, "um") == "is no width; 2000 um may be meant"
+    assert in_unit(WIDTH, "um").objection(2e6, "um") == "is no width; 2000 µm may be meant"
     assert in_unit(WIDTH, "um").objection(2e3, "um") is None
 
 

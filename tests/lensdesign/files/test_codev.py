@@ -306,7 +306,7 @@ def test_private_glasses_by_formulas(tmp_path: Path, glass: str, index: float) -
     [
         ("'GLUE1' LAU -2.0", r"Laurent.*'GLUE1'.* nan"),
         ("'GLUE1' GMS 1.0 0.3452288", "give an index of"),
-        ("'GLUE1' CAU 0.5", r"index of 0.5 at 0.587562 um"),
+        ("'GLUE1' CAU 0.5", r"index of 0.5 at 0.587562 µm"),
         ("'GLUE1' CAU 1.5 0.1 0.1 0.1", r"4 Cauchy.*1 to 3"),
         ("'GLUE1' LAU", "has 0 Laurent coefficients"),
         ("'GLUE1' LAU 2.3 X", "'X' must be a finite number"),

@@ -105,10 +105,10 @@ FAULTS = [
     ("semi_diameter_mm = 4.0\n", "", r"surface 1 .*semi_diameter_mm"),
     ("conic = -0.9", "conic = -0.9\nstop = true", r"surfaces \[1, 2\].*stop"),
     ("stop = true\n", "", r"no surface.*stop.*surface 1"),
-    ("pixel_pitch_um = 3.2", "pixel_pitch_um = 0.0032", r"pixel_pitch_um = 0.0032: .*3.2 um"),
-    ("pixel_pitch_um = 3.2", "pixel_pitch_um = 3200.0", r"pixel_pitch_um = 3200: .*3.2 um"),
-    ("wavelengths_um = [0.532]", "wavelengths_um = [532.0]", r"wavelengths_um = 532: .*0.532 um"),
-    ("wavelengths_um = [0.532]", "wavelengths_um = [0.000532]", r"wavelengths_um = 0.000532: .*0.532 um"),
+    ("pixel_pitch_um = 3.2", "pixel_pitch_um = 0.0032", r"pixel_pitch_um = 0.0032: .*3.2 µm"),
+    ("pixel_pitch_um = 3.2", "pixel_pitch_um = 3200.0", r"pixel_pitch_um = 3200: .*3.2 µm"),
+    ("wavelengths_um = [0.532]", "wavelengths_um = [532.0]", r"wavelengths_um = 532: .*0.532 µm"),
+    ("wavelengths_um = [0.532]", "wavelengths_um = [0.000532]", r"wavelengths_um = 0.000532: .*0.532 µm"),
     ("radius_mm = 42.3", "radius_mm = 0.0423", r"surface 1, radius_mm = 0.0423: .*42.3 mm"),
     ("thickness_mm = 9.7", "thickness_mm = 9700.0", r"surface 1, thickness_mm = 9700: .*9.7 mm"),
     ("thickness_mm = 9.7", "thickness_mm = 0.0097", r"surface 1, thickness_mm = 0.0097: .*9.7 mm"),
@@ -122,7 +122,7 @@ FAULTS = [
     ("[2.0, 22.0]", "[2.0, 22000.0]", r"sensor, plane_distances_mm 2 = 22000: .*22 mm"),
     ("[2.0, 22.0]", "[2.0, 0.022]", r"sensor, plane_distances_mm 2 = 0.022: .*22 mm"),
     ("[2.0, 22.0]", "[0.002, 0.022]", r"sensor, plane_distances_mm 1 = 0.002: .*2 mm"),
-    ("um = 3.2", "um = 800.0", r"sensor, pixel_pitch_um = 800: .*0.8 um"),
+    ("um = 3.2", "um = 800.0", r"sensor, pixel_pitch_um = 800: .*0.8 µm"),
     ("stop = true", "stop = 1", "surface 1, stop = 1"),
     ('material = "N-BK7"', "material = 0.5", "surface 1, material = 0.5: must be"),
     ('material = "N-BK7"', "material = true", "surface 1, material = True: must be"),
@@ -196,7 +196,7 @@ def test_an_unknown_glass_is_named(design: Path, material: str, message: str) ->
 
 def test_a_wavelength_without_index_is_refused(design: Path) -> None:
     design.write_text(GOOD.replace("[0.532]", "[0.532, 9.0]"))
-    with pytest.raises(MaterialError, match=r"9 um.*0\.3 to 2\.5 um"):
+    with pytest.raises(MaterialError, match=r"9 µm.*0\.3 to 2\.5 µm"):
         load_design(design)
 
 

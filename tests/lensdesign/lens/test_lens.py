@@ -48,7 +48,7 @@ def test_stop_is_the_marked_surface_else_the_first() -> None:
 
 def test_indices_start_and_end_in_air(paper_lens: Lens) -> None:
     assert paper_lens.indices(0.532) == pytest.approx([1.0, 1.5194726, 1.0], abs=5e-8)
-    with pytest.raises(MaterialError, match=r"N-BK7.*0\.3 to 2\.5 um"):
+    with pytest.raises(MaterialError, match=r"N-BK7.*0\.3 to 2\.5 µm"):
         paper_lens.indices(5.0)
 
 

@@ -237,7 +237,7 @@ def test_the_exchange_finds_a_sharp_maximum_on_the_rim_beside_a_flat_one_inside(
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 721)
     rim = Rays(np.tile([0.0, 0.6], (721, 1)), np.stack([np.cos(angle), np.sin(angle)], axis=-1))
     (found,), (finest,), (grid,) = (
-        [r for r in problem.rows(point, rays)[1] if r.name == "spread (0.486133 um)"]
+        [r for r in problem.rows(point, rays)[1] if r.name == "spread (0.486133 µm)"]
         for rays in (worse, rim, dense)
     )
     assert np.max(grid.values) < np.max(finest.values) - 1e-3
@@ -266,7 +266,7 @@ def test_infeasible_specifications_say_what_is_violated(thinnest):
     specification = changed(thinnest, optimize=settings, constraints=Constraints(max_spread_deg=4.0))
     found = optimize(specification)
     assert not found.feasible
-    assert any(v.startswith("spread angle at 0.532 um: ") for v in found.violations)
+    assert any(v.startswith("spread angle at 0.532 µm: ") for v in found.violations)
     assert not any("spread" in name for name in found.binding)  # it is violated
 
 
@@ -313,7 +313,7 @@ def test_the_smallest_spread_is_held_against_its_limit(smallest_spread):
     found = optimize(changed(once, constraints=narrow))
     assert found.goal_value < 4.585
     (violation,) = found.violations
-    assert violation.endswith("exceeds the limit of 4.4000 deg, by 4.1 % in its sine")  # of 4.58 deg
+    assert violation.endswith("exceeds the limit of 4.4000°, by 4.1 % in its sine")  # of 4.58 deg
 
 
 @pytest.mark.usefixtures("no_reach")

@@ -74,7 +74,7 @@ def test_field_and_aperture_are_those_of_the_specification(asked: Specification,
     modest = lens.replaced(object=lens.object.replaced(field_diameter_mm=1.0))
     assert check_against(modest, asked).constraints == check_against(lens, asked).constraints
     wider = asked.replaced(object=asked.object.replaced(field_diameter_mm=3.2))
-    assert check_against(lens, wider).violations[0].startswith("spread angle at 0.532 um: ")
+    assert check_against(lens, wider).violations[0].startswith("spread angle at 0.532 µm: ")
     narrow = lens.with_surface(0, semi_diameter_mm=7.0)
     assert any(v.startswith("numerical aperture") for v in check_against(narrow, asked).violations)
     fixed = asked.replaced(optimize=asked.optimize.replaced(stop="fixed"))
@@ -94,17 +94,17 @@ def test_every_constraint_is_held_against_its_own_limit(asked: Specification, le
     values = {c.name: c.value for c in report.constraints}
     missed = {c.name for c in report.constraints if not c.met}
     assert missed == {
-        "spread angle at 0.532 um",
-        "spread along x at 0.532 um",
-        "spread along y at 0.532 um",
-        "spread angle at 0.532 um, field height 0 mm",
+        "spread angle at 0.532 µm",
+        "spread along x at 0.532 µm",
+        "spread along y at 0.532 µm",
+        "spread angle at 0.532 µm, field height 0 mm",
         "footprint radius at 2 mm",
         "centre thickness behind surface 1",
         "slope at the edge of surface 2",
     }
     # Round as it is, the lens spreads as far along x and along y as along any direction.
     for axis in "xy":
-        assert values[f"spread along {axis} at 0.532 um"] == pytest.approx(report.max_spread_deg, abs=1e-5)
+        assert values[f"spread along {axis} at 0.532 µm"] == pytest.approx(report.max_spread_deg, abs=1e-5)
     back = lens.surfaces[1]
     slope = np.degrees(np.arctan(abs(float(back.slope(back.semi_diameter_mm)))))
     assert values["slope at the edge of surface 2"] == pytest.approx(slope)

@@ -105,7 +105,7 @@ def test_a_plastic_lens_keeps_its_limits_where_it_is_asked_to(thinnest: Specific
             assert max(hot.footprint_radius_mm) <= 11.2001
         missed = check_against(cold, asked)
         assert not missed.feasible
-        assert "spread angle at 0.532 um at 50 C: " in " ".join(missed.violations)
+        assert "spread angle at 0.532 µm at 50 C: " in " ".join(missed.violations)
         thickness[glass] = found.lens.exit_vertex_z_mm - cold.exit_vertex_z_mm
     assert 0.01 < thickness["N-BK7"] < 0.1 < thickness["E48R"]
 

@@ -67,7 +67,7 @@ def test_a_search_is_shown_with_its_progress_and_taken(bench: Workbench, paper_l
         json.dumps({"seconds": 0.1, "start": 0, "goal": 1.1, "feasible": False}),
         json.dumps({"seconds": 0.5, "start": 0, "goal": 0.9, "feasible": True}),
     ]
-    summary = SearchSummary(found, True, (), ("footprint",), "smallest spread 4.6 deg")
+    summary = SearchSummary(found, True, (), ("footprint",), "smallest spread 4.6°")
     bench.session.search = SearchRun(FinishedJob(lines, summary), paper_lens)  # type: ignore[arg-type]
     pane = panes.optimize(bench)._optimize
     missed, met = (renderer.data_source.data for renderer in pane.progress.object.renderers)

@@ -85,7 +85,7 @@ def test_scores_have_the_unit_that_is_given(tmp_path):
     (tmp_path / "mine.py").write_text(SOURCE)
     table = {"kind": "python", "function": "mine.py:tilt", "at_least": 0.0, "score_unit": "deg"}
     merit = merit_from_table(table | {"name": "tilt"}, "here")
-    assert (merit.unit, merit.column, merit.limit_text) == ("deg", "tilt_deg", "at least 0 deg")
+    assert (merit.unit, merit.column, merit.limit_text) == ("deg", "tilt_deg", "at least 0°")
 
 
 def test_it_travels_to_other_processes(tmp_path, context, batch):

@@ -70,14 +70,14 @@ def test_what_a_merit_was_asked_for_is_told_in_words(kind):
         keys = {"line_width_um": 1.55, "patch_mm": 0.1}
     meaning = merit(kind, **keys, wavelength_um=0.6).meaning
     assert not re.search(r"=|_|\b(True|False|None)\b|[{}\[\]]", meaning)
-    assert "ight of 0.6 um" in meaning
+    assert "ight of 0.6 µm" in meaning
     assert meaning.endswith(".")
 
 
 def test_words_tell_what_counts_at_the_level():
     lines = {"line_width_um": 0.775, "orientation": "y", "refocus": False}
     asked = merit("line_pair_contrast", level="pupil", **lines).meaning.partition("exchanged. ")[2]
-    assert asked == "Lines of 0.775 um, along y, at (0, 0) mm in the object, not refocused."
+    assert asked == "Lines of 0.775 µm, along y, at (0, 0) mm in the object, not refocused."
     waves = merit("line_pair_contrast", level="wave", line=True, electrons=5000.0, **lines).meaning
     assert waves.endswith("not refocused, on a meridional line, 5000 electrons in the brightest pixel.")
 

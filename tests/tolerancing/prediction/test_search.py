@@ -216,7 +216,7 @@ def test_a_wavelength_that_the_specification_does_not_have_is_refused(figured_st
     with figured_study.open("a", encoding="utf-8") as more:
         more.write(SECOND_WAVELENGTH)
     study = read_as_built(Tolerances(study=str(figured_study)))
-    with pytest.raises(DesignError, match=r"0\.6328 um.*allowed.*0\.532 um"):
+    with pytest.raises(DesignError, match=r"0\.6328 µm.*allowed.*0\.532 µm"):
         study.check(load_design(DESIGNS / "paper_singlet.toml"))
 
 

@@ -39,7 +39,7 @@ def test_studies_of_the_designs_are_plausible(path: Path) -> None:
         (THICKNESS, "0.02", "20.0", r"surface_1_thickness_mm, sigma = 20: .*thickness.*0\.02 mm"),
         (DECENTER, "sigma", "mean = 20.0\nsigma", r"lens_decenter_y_mm, mean = 20: .*0\.02 mm"),
         (PLANE, "0.02", "50.0", r"sensor_plane_distance_2_mm, sigma = 50: .*0\.05 mm"),
-        (LIGHT, "0.02", "2.0", r"light_wavelength_um, sigma = 2: .*0\.002 um"),
+        (LIGHT, "0.02", "2.0", r"light_wavelength_um, sigma = 2: .*0\.002 µm"),
         (SWEEP, "0.04", "40.0", r"sweep 1: decenter_mm, values = 40: .*0\.04 mm"),
         (RADIUS, "0.0", "2", r"shop_radius_mm, sigma = 21: .*0\.021 mm"),
         (STREHL, "[[merit]]", "[[merit]]\nfield_mm = [0.0, 500.0]", r"merit 2, field_mm = 500: .*; 0\.5 mm"),

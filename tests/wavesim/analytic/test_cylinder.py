@@ -224,7 +224,7 @@ def test_scene_holds_the_beam_and_its_grids_start_and_end_dark() -> None:
         (lambda: Cylinder(0.1, 0.9, 0.5), r"index = 0.9.* 1"),
         (lambda: cylinder(0.1).debye_coefficients(-1), r"p = -1.* 0"),
         (lambda: total_field(cylinder(0.1), beam_for(0.1), 0.0, 0.05), "inside the cylinder"),
-        (lambda: total_field(cylinder(0.1), Beam(0.6), 0.0, 0.2), r"0.6 um.*0.532 um"),
+        (lambda: total_field(cylinder(0.1), Beam(0.6), 0.0, 0.2), r"0.6 µm.*0.532 µm"),
     ],
 )
 def test_unusable_values_are_refused(call: Any, message: str) -> None:

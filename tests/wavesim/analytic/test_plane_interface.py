@@ -116,7 +116,7 @@ def test_both_grids_hold_the_beam_and_the_stop_cuts_none_of_it() -> None:
         ({"index": 0.9}, r"index = 0.9, thickness of 0.1 mm"),
         ({"distance_mm": 0.0}, "thickness of 0.0 mm"),
         ({"distance_mm": math.nan}, "thickness of nan mm"),
-        ({"incidence_deg": 80.0}, r"incidence_deg = 80.0 with spread = 0.05 rad.*0 to 55.86 deg"),
+        ({"incidence_deg": 80.0}, r"incidence_deg = 80.0 with spread = 0.05 rad.*0 to 55.86°"),
         ({"incidence_deg": -1.0}, "incidence_deg = -1.0"),
         ({"wavelength_um": 0.0}, "wavelength_um = 0.0"),
         ({"spread": 0.3}, "spread = 0.3 rad"),

@@ -52,5 +52,5 @@ def test_a_stop_that_was_sought_is_as_certain_as_its_deviation(deviation_mm: flo
         calibrated({"decenter_x_mm": 0.01, **dict.fromkeys(names, 0.001)}),
         deviations=(0.001, 1e-4, deviation_mm),
     )
-    assert ("2 um" in found.stop_warning) is warns
+    assert ("2 µm" in found.stop_warning) is warns
     assert bool(found.table()["undetermined"]) is warns

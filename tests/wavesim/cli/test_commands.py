@@ -49,11 +49,11 @@ def test_table_and_picture(wavesim: Command, tmp_path: Path) -> None:
     assert code == 0
     for text in (
         "Strehl ratio",
-        "line width (um)",
+        "line width (µm)",
         "smallest resolved",
         "frequency (lp/mm)",
         "0.7",
-        "lens: tilt x 0.05 deg; field (0, 1.5) mm",
+        "lens: tilt x 0.05°; field (0, 1.5) mm",
     ):
         assert text in out
     assert "µ" not in out

@@ -231,7 +231,7 @@ def test_guard_speaks_before_a_coarse_pitch_is_seen(numerical_aperture: float) -
 def test_guard_says_what_was_exceeded_and_what_to_change() -> None:
     grid = Grid((256,), 1e-3, 0.0)
     fine = Field(grid, _random(grid.shape), WAVELENGTH_UM)
-    with pytest.raises(SamplingError, match=r"400 and 500 cycles/mm.* 1 um"):
+    with pytest.raises(SamplingError, match=r"400 and 500 cycles/mm.* 1 µm"):
         propagate(fine, 1.0)
     field = _beam_field(grid, 2e-3)
     with pytest.raises(SamplingError, match=r"256 samples.* 0\.4\d* mm.*pad='auto'"):
@@ -260,7 +260,7 @@ def test_unusable_input_is_refused() -> None:
             propagate(field, 1.0, pad=pad)
     with pytest.raises(InputError, match="not finite"):
         propagate(field.with_values(field.values * np.nan), 1.0)
-    with pytest.raises(SamplingError, match=r"1 mm at a pitch of 1 um needs 268435456 samples.*smaller"):
+    with pytest.raises(SamplingError, match=r"1 mm at a pitch of 1 µm needs 268435456 samples.*smaller"):
         propagate(field, 1.0, pad=(2**28,))
     with pytest.raises(InputError, match="same shape and pitch"):
         propagate(field, Grid((64,), 2e-3, 1.0), pad=(128,))

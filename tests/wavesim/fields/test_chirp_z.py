@@ -128,7 +128,7 @@ def test_output_too_coarse_is_refused_unless_asked_for() -> None:
     # A diverging beam, whose outer rings need 1 um.
     field = _gaussian_field(Grid((512,), 0.5e-3, 0.0), 1.5e-3)
     target = Grid((64,), 8e-3, 2.0)
-    with pytest.raises(SamplingError, match=r"8 um.*coarse_output=True"):
+    with pytest.raises(SamplingError, match=r"8 µm.*coarse_output=True"):
         propagate(field, target)
     coarse = propagate(field, target, coarse_output=True)
     fine = propagate(field, Grid((1025,), 0.5e-3, 2.0, (0.0, 0.0)))

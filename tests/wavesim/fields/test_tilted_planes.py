@@ -103,7 +103,7 @@ def test_adjoints(shape: tuple, to: tuple, tilts: tuple) -> None:
 def test_output_too_coarse_for_the_carrier_is_refused_unless_asked_for() -> None:
     field = _waist_field(Grid((300,), 0.4e-3, 0.0))
     tilt = np.deg2rad(50.0)
-    with pytest.raises(SamplingError, match=r"0\.4 um.*give a pitch of"):
+    with pytest.raises(SamplingError, match=r"0\.4 µm.*give a pitch of"):
         propagate(field, field.grid, target_tilt_deg=(50.0, 0.0))
     coarse = propagate(field, field.grid, target_tilt_deg=(50.0, 0.0), coarse_output=True)
     y = coarse.grid.y_mm

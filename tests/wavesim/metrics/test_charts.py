@@ -104,7 +104,7 @@ def test_the_aperture_limits() -> None:
     figures = chart_metrics(blurred(chart(), 0.15), SHOWN, "bright", passed_um)
     assert 0.8 * passed_um < figures["smallest_resolved"]["line_width_um"] < 1.2 * passed_um
     assert figures["limited_by"] == ["aperture"]
-    assert f"none finer than {passed_um:.3g} um" in figures["limit"]
+    assert f"none finer than {passed_um:.3g} µm" in figures["limit"]
 
 
 def test_the_chart_limits_where_its_finest_element_is_coarser_than_the_aperture() -> None:
@@ -128,7 +128,7 @@ def test_the_samples_limit() -> None:
     assert figures["smallest_resolved"]["line_width_um"] == min(one.line_width_um for one in SHOWN)
     assert figures["limited_by"] == ["sampling"]
     assert figures["sample_um"] == pytest.approx(0.4)
-    assert "samples of 0.4 um" in figures["limit"]
+    assert "samples of 0.4 µm" in figures["limit"]
     # Elements that the samples do not show at all are no error either.
     assert chart_metrics(chart(), ELEMENTS, "bright", 0.5)["limited_by"] == ["sampling"]
 

@@ -171,8 +171,8 @@ def test_a_finding_takes_trust_from_an_explained_result_and_leaves_another_cause
 
 
 def test_a_bandwidth_that_explains_frames_is_named_with_its_remedy() -> None:
-    trials = [Trial("source", "source 0.2 deg wide", 0.7), Trial("bandwidth", "bandwidth of 9 nm", 0.3)]
+    trials = [Trial("source", "source 0.2° wide", 0.7), Trial("bandwidth", "bandwidth of 9 nm", 0.3)]
     found = verdict([plane(1.2 * LIMIT)], trials)
     assert found.cause == "bandwidth"
-    assert "also helps: source 0.2 deg wide" in found.words
+    assert "also helps: source 0.2° wide" in found.words
     assert "--bandwidth-nm" in found.next_step

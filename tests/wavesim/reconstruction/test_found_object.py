@@ -45,8 +45,8 @@ def test_a_chart_beside_its_place_is_resolved_as_well(samples) -> None:
     assert truth["displacement_x_um"] / pitch_um == pytest.approx(samples[0], abs=0.06)
     assert truth["correlation_registered"] > 0.97
     lines = _summary_lines(figures)
-    assert "resolved down to group 9, element 2: lines of 0.87 um" in lines
-    assert any("limit: samples of 0.426 um" in line for line in lines)
+    assert "resolved down to group 9, element 2: lines of 0.87 µm" in lines
+    assert any("limit: samples of 0.426 µm" in line for line in lines)
     said = [line for line in lines if "displaced by" in line]
     assert len(said) == (2 if any(samples) else 0)
     if any(samples):

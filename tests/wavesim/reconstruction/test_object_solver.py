@@ -87,7 +87,7 @@ def test_an_amplitude_object_comes_back(case: Case) -> None:
     size = np.sqrt(sum(np.sum(p.amplitude.astype(float) ** 2) for p in case.recorded))
     left = np.sqrt(sum(np.sum(m.astype(float) ** 2) for m in found.residual_maps)) / size
     assert left == pytest.approx(found.misfit[-1], rel=0.5)
-    assert repr(found).startswith("Reconstructed(samples 120 x 120 of 0.42 um, iterations ")
+    assert repr(found).startswith("Reconstructed(samples 120 x 120 of 0.42 µm, iterations ")
     assert "data:image/png;base64," in found._repr_html_()
 
 

@@ -71,8 +71,8 @@ def times(value: Any, factor: float) -> Any:
         ("patch_mm", 0.0001, "0.1 mm"),
         ("field_stop_mm", 80.0, "0.08 mm"),
         ("field_stop_at_mm", (10.0, 20.0), "0.01 mm"),
-        ("object_pitch_um", 400.0, "0.4 um"),
-        ("object_pitch_um", 0.0004, "0.4 um"),
+        ("object_pitch_um", 400.0, "0.4 µm"),
+        ("object_pitch_um", 0.0004, "0.4 µm"),
         ("waist_mm", 100.0, "0.1 mm"),
         ("decenter_x_mm", 30.0, "0.03 mm"),
         ("decenter_y_mm", 3e-5, "0.03 mm"),
@@ -82,12 +82,12 @@ def times(value: Any, factor: float) -> Any:
         ("planes_mm", (0.002, 0.022), "2 mm"),
         ("refocus_mm", (-20.0, 20.0), "-0.02 mm"),
         ("refocus_mm", (-2e-5, 2e-5), "-0.02 mm"),
-        ("wavelength_um", 532.0, "0.532 um"),
-        ("wavelength_um", 0.000532, "0.532 um"),
-        ("pixel_pitch_um", 0.0032, "3.2 um"),
-        ("step_um", 500.0, "0.5 um"),
+        ("wavelength_um", 532.0, "0.532 µm"),
+        ("wavelength_um", 0.000532, "0.532 µm"),
+        ("pixel_pitch_um", 0.0032, "3.2 µm"),
+        ("step_um", 500.0, "0.5 µm"),
         ("stage_error_mm", (0.0, 50.0), "0.05 mm"),
-        ("shift_um", (3000.0, 0.0), "3 um"),
+        ("shift_um", (3000.0, 0.0), "3 µm"),
         ("region_mm", (0.0, 0.0, 50.0, 50.0), "0.05 mm"),
         ("region_mm", (10.0, 0.0, 0.05, 0.05), "0.01 mm"),
         ("chart_at_mm", ((0.0, 0.0), (20.0, 0.0)), "0.02 mm"),
@@ -106,7 +106,7 @@ def test_perturbed_surfaces_are_judged_by_their_parameter(paper_lens: Lens) -> N
 
 
 def test_settings_are_refused_before_anything_is_computed(paper_lens: Lens) -> None:
-    with pytest.raises(SettingError, match=r"object_pitch_um = 400: .*0\.4 um"):
+    with pytest.raises(SettingError, match=r"object_pitch_um = 400: .*0\.4 µm"):
         image(paper_lens, "star", object_pitch_um=400.0)
     with pytest.raises(InputError, match=r"patch_mm = 50: .*0\.05 mm"):
         image(paper_lens, "star", patch_mm=50.0)

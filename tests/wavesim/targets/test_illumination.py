@@ -109,7 +109,7 @@ def test_a_measured_field_too_fine_for_splines_or_the_grid_is_refused(tmp_path: 
     np.testing.assert_array_equal(kept.values, rough)
     slanted = plane_wave(Grid((128, 128), 1e-3, -1.0), WAVELENGTH_UM, tilt_x_deg=3.0)
     np.save(tmp_path / "slanted.npy", slanted.values)
-    with pytest.raises(SamplingError, match="pitch of 6 um"):
+    with pytest.raises(SamplingError, match="pitch of 6 µm"):
         measured_field(tmp_path / "slanted.npy", Grid((15, 15), 6e-3, -1.0), WAVELENGTH_UM, 1.0)
     mixed = np.ones((128, 128), complex) + 0.02 * rng.normal(size=(128, 128))
     np.save(tmp_path / "mixed.npy", mixed)

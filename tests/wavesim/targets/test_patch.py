@@ -123,7 +123,7 @@ def test_a_chart_beside_takes_fewer_groups_where_there_is_less_room() -> None:
     patch = object_patch(PAPER, 0.4, object_pitch_um=0.24)
     groups = [{one.group for one in usaf_charts_of(patch, [(x, 0.0)])[1]} for x in (0.15, 0.18, 0.19)]
     assert groups == [{8, 9, 10}, {9, 10}, {10}]
-    with pytest.raises(SamplingError, match=r"lines of 1\.953 um, the widest that are 0\.15, 0 mm from"):
+    with pytest.raises(SamplingError, match=r"lines of 1\.953 µm, the widest that are 0\.15, 0 mm from"):
         usaf_charts_of(object_patch(PAPER, 0.4, object_pitch_um=1.5), [(0.15, 0.0)])
 
 

@@ -165,12 +165,12 @@ def test_a_patch_takes_the_groups_that_fit_and_the_lines_that_its_grid_shows() -
     assert usaf_elements_within(Grid((900, 900), 0.4256e-3, -1.0), 0.83)[0].group == 4
     with pytest.raises(InputError, match="group 10"):
         usaf_elements_within(grid, 0.001)
-    with pytest.raises(SamplingError, match=r"lines of 7\.812 um"):
+    with pytest.raises(SamplingError, match=r"lines of 7\.812 µm"):
         usaf_elements_within(Grid((90, 90), 4.0e-3, -1.0), 0.26)
 
 
 def test_a_chart_finer_than_its_grid_is_refused() -> None:
-    with pytest.raises(SamplingError, match=r"group 9, element 6\).*0\.5481 um.*2 samples"):
+    with pytest.raises(SamplingError, match=r"group 9, element 6\).*0\.5481 µm.*2 samples"):
         usaf_chart(Grid((900, 900), 0.4e-3, -1.0), usaf_elements((8, 9)))
     with pytest.raises(InputError, match="larger grid"):
         usaf_chart(Grid((100, 100), 0.4e-3, -1.0), usaf_elements((6,)))
@@ -253,7 +253,7 @@ def test_a_band_limit_leaves_only_the_aperture_and_is_a_projection() -> None:
     np.testing.assert_allclose(band_limit(limited, grid, 0.532, 0.3), limited, atol=1e-12)
     lost = np.sum(abs(chart) ** 2) - np.sum(abs(limited) ** 2)
     assert lost == pytest.approx(np.sum(abs(chart - limited) ** 2))
-    with pytest.raises(SamplingError, match=r"numerical_aperture = 0.7: .*0.38 um"):
+    with pytest.raises(SamplingError, match=r"numerical_aperture = 0.7: .*0.38 µm"):
         band_limit(chart, grid, 0.532, 0.7)
 
 
@@ -349,7 +349,7 @@ def test_objects_that_no_grid_can_hold_are_refused() -> None:
     ):
         with pytest.raises(InputError, match="must be a plane"):
             make(line)
-    with pytest.raises(SamplingError, match=r"bars of 1\.5 um.*2 samples"):
+    with pytest.raises(SamplingError, match=r"bars of 1\.5 µm.*2 samples"):
         line_pairs(GRID, 1.5)
     with pytest.raises(SamplingError, match="spokes' inner ends"):
         siemens_star(GRID, 36, 0.09, 0.01)

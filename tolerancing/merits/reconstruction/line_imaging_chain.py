@@ -219,8 +219,8 @@ class LineImagingChain:
         is_shifted = abs(refocus_um) > 0.02 * depth_um
         if is_shifted and abs(refocus_um) > self.largest_refocus_um:
             raise InputError(
-                f"the region is in focus {refocus_um:.3g} um from the object plane; allowed: "
-                f"{-self.largest_refocus_um:.3g} to {self.largest_refocus_um:.3g} um; use refocus = false"
+                f"the region is in focus {refocus_um:.3g} µm from the object plane; allowed: "
+                f"{-self.largest_refocus_um:.3g} to {self.largest_refocus_um:.3g} µm; use refocus = false"
             )
         if engine.name == "slices" and model == AS_DESIGNED:
             operator: LineOperator = MATRICES.matrix(self._model_engine(engine))

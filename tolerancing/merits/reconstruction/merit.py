@@ -155,7 +155,7 @@ class Reconstruction(Merit):
     @property
     def details(self) -> tuple[str, ...]:
         figure = {"correlation": "correlation", "lost_correlation": "lost correlation"}.get(
-            self.figure, f"contrast of lines of {self.evaluated_width_um:g} um"
+            self.figure, f"contrast of lines of {self.evaluated_width_um:g} µm"
         )
         engines: str = self.reconstruction_engine
         if engines == "slices":

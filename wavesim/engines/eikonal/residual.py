@@ -333,7 +333,7 @@ def factors_over_object(
         if len(found.tile_nodes) == MAX_RANK:  # a higher order would not help
             break
     raise RayMapError(
-        f"{len(found.tile_nodes)} terms over tiles of {1e3 * float(np.max(np.ptp(spans_mm, axis=1))):.3g} um "
+        f"{len(found.tile_nodes)} terms over tiles of {1e3 * float(np.max(np.ptp(spans_mm, axis=1))):.3g} µm "
         f"leave a relative error of {found.relative_error:.2g} (allowed: {error:.2g}): make tiles narrower"
     )
 

@@ -228,7 +228,7 @@ class WavePropagation(Engine):
         apart = "both media" if stairs else "the steepest and the flattest light"
         message = (
             f"step_um = {step_um:.4g}: {apart} differ by {phase:.3g} rad after one step; a step of at most "
-            f"{step_um * WARN_PHASE / phase:.4g} um keeps that below pi"
+            f"{step_um * WARN_PHASE / phase:.4g} µm keeps that below pi"
         )
         if phase > REFUSE_PHASE:
             raise SamplingError(message)

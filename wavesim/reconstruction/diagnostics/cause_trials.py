@@ -228,13 +228,13 @@ class CauseTrials:
         """Yield trials of blur: an extended or polychromatic source, or a camera that vibrates."""
         if not isinstance(self.engine, Tiled):
             if not self.source.width_deg:
-                yield from self._sources("source", "source {:.2g} deg wide", "width_deg", coherent_deg)
+                yield from self._sources("source", "source {:.2g}° wide", "width_deg", coherent_deg)
             if not self.source.bandwidth_nm:
                 words = "light with a bandwidth of {:.2g} nm"
                 yield from self._sources("bandwidth", words, "bandwidth_nm", coherent_nm)
         pitch_um = 1e3 * self.engine.scene.exit_grid.pitch_mm
         for blur in BLURS_PIXELS:
-            description = f"pictures blurred by {blur * pitch_um:.2g} um rms, as by vibration"
+            description = f"pictures blurred by {blur * pitch_um:.2g} µm rms, as by vibration"
             blur_mm = math.hypot(self.recorded[0].blur_mm, 1e-3 * blur * pitch_um)
             planes = [replace(plane, blur_mm=blur_mm) for plane in self.recorded]
             yield self._trial(self._change("vibration", description, recorded=planes))
@@ -273,7 +273,7 @@ class CauseTrials:
                 for plane, (x, y) in zip(self.recorded, shifts, strict=True)
             ]
             description = ", ".join(
-                f"{1e3 * pitch_mm * x:.2g}, {1e3 * pitch_mm * y:.2g} um" for x, y in shifts
+                f"{1e3 * pitch_mm * x:.2g}, {1e3 * pitch_mm * y:.2g} µm" for x, y in shifts
             )
             return self._change("shift", f"frames shifted by {description}", recorded=planes)
 
@@ -301,7 +301,7 @@ class CauseTrials:
         per_mm = 1e-3 * self.light.wavelength_um / self.light.index
         x, y = (math.degrees(per_mm * phase[one] / half) for one, half in (((1, 0), width), ((0, 1), height)))
         bent = max(abs(phase[orders]) for orders in BENDS)
-        description = f"light tilted by {x:.2g}, {y:.2g} deg"
+        description = f"light tilted by {x:.2g}, {y:.2g}°"
         if bent < LEAST_BEND_WAVES:
             phase = phase | dict.fromkeys(BENDS, 0.0)
         else:
@@ -324,7 +324,7 @@ class CauseTrials:
         moves = np.subtract(displaced, nominal) / step_mm
 
         def change(x: float, y: float) -> Change:
-            description = f"lens decentered by {1e3 * x:.2g}, {1e3 * y:.2g} um"
+            description = f"lens decentered by {1e3 * x:.2g}, {1e3 * y:.2g} µm"
             return self._change("mounting", description, engine=at(x, y))
 
         size = float(moves @ moves) or 1.0  # without a lens nothing moves
@@ -356,7 +356,7 @@ class CauseTrials:
         def working_distance(step: float) -> Change:
             grid, distance_mm = scene.object_grid, scene.lens.object.working_distance_mm
             grid = replace(grid, z_mm=grid.z_mm - step * distance_mm)
-            description = f"object {1e3 * step * distance_mm:+.2g} um farther from the lens"
+            description = f"object {1e3 * step * distance_mm:+.2g} µm farther from the lens"
             light, engine = (
                 replace(self.light, grid=grid),
                 engine_on(self.engine, replace(scene, object_grid=grid)),
@@ -366,7 +366,7 @@ class CauseTrials:
         def pixels(step: float) -> Change:
             grid = replace(scene.exit_grid, pitch_mm=(1.0 + step) * scene.exit_grid.pitch_mm)
             description = (
-                f"pixels of {1e3 * grid.pitch_mm:.4g} um in place of {1e3 * scene.exit_grid.pitch_mm:.4g}"
+                f"pixels of {1e3 * grid.pitch_mm:.4g} µm in place of {1e3 * scene.exit_grid.pitch_mm:.4g}"
             )
             return self._change(
                 "pixel pitch", description, engine=engine_on(self.engine, replace(scene, exit_grid=grid))

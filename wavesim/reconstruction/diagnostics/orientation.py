@@ -19,11 +19,11 @@ from wavesim.sensor.measurement import Array, Measurement
 ORIENTATIONS: dict[str, Callable[[Any], Any]] = {
     "mirrored left to right": lambda a: a[:, ::-1],
     "mirrored top to bottom": lambda a: a[::-1],
-    "turned by 180 deg": lambda a: a[::-1, ::-1],
-    "turned by 90 deg": lambda a: a.T[::-1],
-    "turned by -90 deg": lambda a: a[::-1].T,
+    "turned by 180°": lambda a: a[::-1, ::-1],
+    "turned by 90°": lambda a: a.T[::-1],
+    "turned by -90°": lambda a: a[::-1].T,
     "transposed": lambda a: a.T,
-    "transposed and turned by 180 deg": lambda a: a[::-1, ::-1].T,
+    "transposed and turned by 180°": lambda a: a[::-1, ::-1].T,
 }
 """Orientations other than the stated one; pictures are cropped to a square."""
 

@@ -99,7 +99,7 @@ def test_each_fault_is_found(paper_lens: Lens, coarse: trimesh.Trimesh) -> None:
     assert "2 bodies, where the design has 1" in faults(trimesh.util.concatenate([coarse, speck]))
     inches = coarse.copy()
     inches.apply_scale(1.0 / 25.4)
-    assert "um off; allowed: 2 um" in faults(inches)
+    assert "um off; allowed: 2 µm" in faults(inches)
     wall = coarse.faces[np.abs(coarse.face_normals[:, 2]) < 1e-6]
     tube = trimesh.Trimesh(coarse.vertices, wall, process=False)
     assert "no part of the mesh belongs to surface 2 of element 1" in faults(tube)
@@ -161,7 +161,7 @@ def test_the_command(
     code, out, _ = command("verify", paper_design, path, "--chord-error-um", CHORD_UM)
     assert code == 0
     assert "closed, 1 body (design: 1)" in out
-    assert out.endswith("the mesh agrees with the design within 2 um\n")
+    assert out.endswith("the mesh agrees with the design within 2 µm\n")
     code, out, _ = command("verify", paper_design, path)
     assert code == 1
     assert "not met: surface 1 of element 1" in out

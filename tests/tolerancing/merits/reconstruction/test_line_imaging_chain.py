@@ -94,7 +94,7 @@ def test_what_the_nominal_model_loses_the_true_one_finds(chain):
 
 
 def test_refuses_a_focus_beyond_the_margin(chain):
-    with pytest.raises(InputError, match=r"50 um.* 13\.9 um"):
+    with pytest.raises(InputError, match=r"50 µm.* 13\.9 µm"):
         chain.model(EIKONAL, refocus_um=50.0)
 
 

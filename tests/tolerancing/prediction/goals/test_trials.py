@@ -79,7 +79,7 @@ def test_yield_is_printed_jointly_and_by_its_parts(specified) -> None:
     assert "Yield of 100 trials each (seed 2)" in shown.output
     assert "a good lens keeps all limits of the study:" in shown.output
     assert "rms_waves at most 0.04: at (0, 0), (0, 0.7), (0, 0.95) mm in the object" in shown.output
-    assert "largest_spread_deg at most 7.68 deg: over the whole field" in shown.output
+    assert "largest_spread_deg at most 7.68°: over the whole field" in shown.output
     assert "scored by trials only: contrast" in shown.output
 
 

@@ -30,7 +30,7 @@ def test_a_picture_as_it_is_has_no_finding(seed: int) -> None:
     assert orientation_findings([plane], [error]) == []
 
 
-@pytest.mark.parametrize("name", ["mirrored left to right", "mirrored top to bottom", "turned by 180 deg"])
+@pytest.mark.parametrize("name", ["mirrored left to right", "mirrored top to bottom", "turned by 180°"])
 def test_a_noisy_picture_that_is_mirrored_or_turned_is_found(name: str) -> None:
     plane, error = taken(np.asarray(ORIENTATIONS[name](MADE)))
     found = max(orientation_findings([plane], [error]), key=lambda one: one.chi_square)
@@ -41,9 +41,9 @@ def test_a_noisy_picture_that_is_mirrored_or_turned_is_found(name: str) -> None:
 
 def test_a_quarter_turn_is_found_in_the_middle_square() -> None:
     picture = MADE.copy()
-    picture[:, 15:105] = np.asarray(ORIENTATIONS["turned by 90 deg"](MADE[:, 15:105]))
+    picture[:, 15:105] = np.asarray(ORIENTATIONS["turned by 90°"](MADE[:, 15:105]))
     plane, error = taken(picture)
-    assert "turned by -90 deg" in orientation_findings([plane], [error])[0].explanation
+    assert "turned by -90°" in orientation_findings([plane], [error])[0].explanation
 
 
 def test_a_shifted_picture_is_found_with_its_shift() -> None:
