@@ -342,7 +342,7 @@ def _print_optimization(result: OptimizationResult) -> None:
     goal = f"{result.goal}, fraction of its limit" if of_limit else result.goal
     if result.goal in AS_BUILT_GOALS:
         goal = f"{result.goal}, predicted"
-    variables.add_row(goal, f"{result.goal_value:.6g} {result.goal_unit}")
+    variables.add_row(goal, number_with_unit(f"{result.goal_value:.6g}", result.goal_unit))
     if len(result.spreads) > 1:
         for s in result.spreads:
             shown = f"{s.spread_deg:.4f}°, {100.0 * s.share:.2f} % of {s.limit_deg:.4f}°"

@@ -13,6 +13,7 @@ from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.progress import progress_text
+from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,9 +63,12 @@ def _print_fit(found: PlateFit) -> None:
         typer.echo(f"surface {one.surface}: {one.radius_mm:.6g} mm, plate {one.plate_mm:.6g} mm")
     before = found.before
     last = (
-        "no variable remained" if found.after is None else f"{found.after.goal_value:.6g} {before.goal_unit}"
+        "no variable remained"
+        if found.after is None
+        else number_with_unit(f"{found.after.goal_value:.6g}", before.goal_unit)
     )
-    typer.echo(f"{before.goal}: {before.goal_value:.6g} {before.goal_unit} before, {last} with the plates")
+    first = number_with_unit(f"{before.goal_value:.6g}", before.goal_unit)
+    typer.echo(f"{before.goal}: {first} before, {last} with the plates")
     for violation in found.check.violations:
         typer.echo(f"not met: {violation}")
     for sentence in found.unfinished:

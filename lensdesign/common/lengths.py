@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 
 UNITS = {"mm": "millimetres", "um": "micrometres"}
@@ -66,7 +67,7 @@ class PlausibleLength:
         steps = unit_steps if self.always else unit_steps[:2]
         candidates = [step for step in steps if (step < 1.0) == (size > self.highest)]
         meant = next((step * value for step in candidates if low <= step * size <= high), None)
-        return "" if meant is None else f"; {meant:g} {unit} may be meant"
+        return "" if meant is None else f"; {number_with_unit(f'{meant:g}', unit)} may be meant"
 
     def at_most(self) -> PlausibleLength:
         """Return the range without a lower end."""

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TypeVar
 
 T = TypeVar("T")
 
 UNIT_SYMBOLS = {"um": "µm", "deg": "°", "percent": "%", "c": "°C", "mm3": "mm³"}
 """Units as people write them, by their spelling in names and files."""
+
+OTHER_UNITS = ("mm", "nm", "waves", "fringes")
+"""Further units with which names end; people write them in the same way."""
 
 
 def safe_cell(text: str) -> str:
@@ -81,6 +85,33 @@ def number_with_unit(number: str, unit: str) -> str:
 def unit_symbol(unit: str) -> str:
     """Return a unit as people write it, such as µm for the ``um`` of names and files."""
     return UNIT_SYMBOLS.get(unit, unit)
+
+
+def words_and_unit(name: str) -> tuple[str, str]:
+    """Split the name of a quantity, such as ``tilt_x_deg``, into words and unit: "tilt x" and "deg".
+
+    The unit is "" if the name does not end in one. A width within the name, such as ``0p775um``, becomes a
+    number with its unit.
+    """
+    head, _, tail = name.rpartition("_")
+    has_unit = bool(head) and tail in UNIT_SYMBOLS | dict.fromkeys(OTHER_UNITS)
+    words = re.sub(r"(?<![A-Za-z0-9])(\d+(?:p\d+)?)um(?![A-Za-z0-9])", _width, head if has_unit else name)
+    return words.replace("_", " "), tail if has_unit else ""
+
+
+def _width(match: re.Match[str]) -> str:
+    return f"{match[1].replace('p', '.')} µm"
+
+
+def quantity_label(name: str) -> str:
+    """Return the name of a quantity for people, with its unit in brackets: ``tilt_x_deg`` is "tilt x (°)"."""
+    return name_with_unit(*words_and_unit(name))
+
+
+def quantity_sentence(name: str, number: str) -> str:
+    """Return a quantity with its value, such as "tilt x 0.1°" for ``tilt_x_deg``."""
+    words, unit = words_and_unit(name)
+    return f"{words} {number_with_unit(number, unit)}"
 
 
 def name_with_unit(name: str, unit: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from lensdesign.analysis.report import CheckReport, WavelengthCheck
 from lensdesign.common.deadlines import deadline, now
 from lensdesign.common.notebook import html_table
-from lensdesign.common.text import finite_or_none
+from lensdesign.common.text import finite_or_none, number_with_unit
 from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
@@ -183,7 +183,7 @@ class OptimizationResult:
         rows = [
             *(("not finished", sentence) for sentence in self.unfinished),
             *rows,
-            (self.goal, f"{self.goal_value:.6g} {self.goal_unit}"),
+            (self.goal, number_with_unit(f"{self.goal_value:.6g}", self.goal_unit)),
             ("binding", ", ".join(self.binding)),
             *(("not met", sentence) for sentence in self.violations),
             ("search", f"{self.algorithm}: {self.evaluations} evaluations in {self.seconds:.2f} s"),

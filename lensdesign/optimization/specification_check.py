@@ -290,7 +290,8 @@ def _angle(name: str, value_deg: float, limit_deg: float) -> Constraint:
 def _at_most(name: str, value: float, limit: float, unit: str) -> Constraint:
     met = value <= limit * (1.0 + ROUNDING)
     miss = (
-        f"{name}: {value:.5g} {unit} exceeds the limit of {limit:.5g} {unit}, by {value - limit:.2g} {unit}"
+        f"{name}: {number_with_unit(f'{value:.5g}', unit)} exceeds the limit of "
+        f"{number_with_unit(f'{limit:.5g}', unit)}, by {number_with_unit(f'{value - limit:.2g}', unit)}"
     )
     return constraint(name, value, "<=", limit, unit, met, miss)
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.input_files import read_json
+from lensdesign.common.text import quantity_label
 from lensdesign.errors import InputError
 
 PICTURES = (
@@ -124,7 +125,7 @@ def _facts(values: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     """Return scalar values of nested tables with their names."""
     found = []
     for name, value in values.items():
-        shown = f"{prefix}{name.replace('_', ' ')}"
+        shown = f"{prefix}{quantity_label(name)}"
         if isinstance(value, dict) and name != "verdict":
             found += _facts(value, f"{shown}, ")
         elif isinstance(value, bool | int | str):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import tomli_w
 
 from lensdesign.common.atomic_files import atomic_path
+from lensdesign.common.text import name_with_unit, number_with_unit
 from lensdesign.errors import InputError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
@@ -101,7 +102,7 @@ class Search:
                     constraints[key] = float(given)
                 except ValueError:
                     allowed = "a number, sensor, or empty" if key in SENSOR_LIMITS else "a number, or empty"
-                    name = f"{label} ({unit})" if unit else label
+                    name = name_with_unit(label, unit)
                     raise InputError(f"{name}: {given!r}: must be {allowed}") from None
         return cls(variables, goal, constraints, ranges=dict(ranges))
 
@@ -228,9 +229,9 @@ def run_search(
             lambda line: report(json.dumps({"text": line})),
             on_improvement=lambda found: report(json.dumps(asdict(found))),
         )
-    unit = f" {result.goal_unit}" if result.goal_unit else ""
+    reached = number_with_unit(f"{result.goal_value:.6g}", result.goal_unit)
     summary = (
-        f"{result.goal} {result.goal_value:.6g}{unit}; {result.evaluations} evaluations in "
+        f"{result.goal} {reached}; {result.evaluations} evaluations in "
         f"{result.seconds:.1f} s, {result.starts_at_best} of {result.starts} starts reached this lens"
     )
     text = design_text(result.lens.replaced(title=lens.title), Path("/"))

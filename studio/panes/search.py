@@ -10,6 +10,7 @@ from typing import Any
 
 import panel as pn
 
+from lensdesign.common.text import name_with_unit
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
@@ -194,7 +195,7 @@ _EMPTY = explanation(
 
 def _limit(bench: Workbench, session: Session, key: str, label: str, unit: str) -> pn.widgets.TextInput:
     widget = pn.widgets.TextInput(
-        name=f"{label}{f' ({unit})' if unit else ''}", placeholder="no limit", width=155, margin=(5, 5, 5, 10)
+        name=name_with_unit(label, unit), placeholder="no limit", width=155, margin=(5, 5, 5, 10)
     )
     bind(
         bench, widget, lambda: session.limits.get(key, ""), lambda value: session.limits.update({key: value})

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import panel as pn
 
+from lensdesign.common.text import quantity_label, words_and_unit
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
@@ -191,7 +192,7 @@ class _TrialsChart:
         """Draw the scores of a merit, good lenses in one colour and bad ones in another."""
         self.passed = np.asarray(found.trials.passed, bool)
         self.limit.location = merit.at_most if merit.at_least is None else merit.at_least
-        self.plot.yaxis.axis_label = merit.column.replace("_", " ")
+        self.plot.yaxis.axis_label = quantity_label(merit.column)
         self.source.data = {
             "x": np.asarray(found.trials.trials).tolist(),
             "y": found.trials.scores[:, column].tolist(),
@@ -279,7 +280,7 @@ class _ScoreChart:
             return
         limit = merit.at_most if merit.at_least is None else merit.at_least
         self.limit.location = limit
-        self.plot.xaxis.axis_label = f"{merit.column.replace('_', ' ')} ({merit.limit_text})"
+        self.plot.xaxis.axis_label = f"{words_and_unit(merit.column)[0]} ({merit.limit_text})"
         counts, edges = np.histogram(known, bins=min(40, max(8, round(len(known) ** 0.5))))
         self.bars.data = {
             "left": edges[:-1].tolist(),

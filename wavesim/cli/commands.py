@@ -11,7 +11,7 @@ import typer
 from lensdesign.common.console import make_app, print_json, run_app
 from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json, output_option
-from lensdesign.common.text import decimals_text, visible
+from lensdesign.common.text import decimals_text, quantity_sentence, visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.calibrate import calibrate
@@ -208,8 +208,7 @@ def _title(summary: dict[str, Any], um: str) -> str:
 
 def _moved(name: str, value: float) -> str:
     """Describe one displacement of the lens, such as "decenter y 0.03 mm"."""
-    what, unit = name.rsplit("_", 1)
-    return f"{what.replace('_', ' ')} {value:g} {unit}"
+    return quantity_sentence(name, f"{value:g}")
 
 
 def _print_tables(summary: dict[str, Any]) -> None:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.common.text import finite_or_none
+from lensdesign.common.text import finite_or_none, number_with_unit, words_and_unit
 from wavesim.metrics.next_steps import next_step
 from wavesim.metrics.noise_parameters import NoiseCheck, noise_check
 from wavesim.metrics.plane_residuals import PlaneResidual
@@ -252,9 +252,9 @@ def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
 
 
 def _in_words(one: Undetected) -> str:
-    name, unit = one.parameter.rsplit("_", 1)
-    size, unit = (1e3 * one.size, "µm") if unit == "mm" else (one.size, unit)
-    return f"{name.replace('_', ' ')} {size:.2g} {unit}"
+    words, unit = words_and_unit(one.parameter)
+    size, unit = (1e3 * one.size, "um") if unit == "mm" else (one.size, unit)
+    return f"{words} {number_with_unit(f'{size:.2g}', unit)}"
 
 
 def verdict(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lensdesign.common.text import number_with_unit
+from lensdesign.common.text import name_with_unit, number_with_unit, words_and_unit
 from lensdesign.plots.style import BLUE, GREY, ORANGE, in_style, styled_figure
 from wavesim.calibration.calibration_result import Calibrated
 
@@ -44,7 +44,7 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
         axes.plot(steps, [factor * values[k] for values, _ in found.trail], ".-", color=BLUE, lw=0.8)
         value = factor * found.values[k]
         axes.axhline(value, color=ORANGE, lw=0.8)
-        axes.set_ylabel(f"{label} ({unit})" if unit else label)
+        axes.set_ylabel(name_with_unit(label, unit))
         axes.set_title(number_with_unit(f"estimate: {value:.3f}", unit), fontsize=9, color=ORANGE)
         axes.grid(True)
         axes.set_xlabel("tested bench" if k >= len(found.parameters) - 2 else "")
@@ -96,8 +96,5 @@ def _draw_values(axes: Axes, found: Calibrated) -> None:
 
 def _label_and_unit(name: str) -> tuple[str, str, float]:
     """Return a parameter's label, its unit, and the factor that converts its value to this unit."""
-    units = {"mm": ("µm", 1e3), "um": ("µm", 1.0), "deg": ("°", 1.0), "waves": ("waves", 1.0)}
-    head, _, tail = name.rpartition("_")
-    if tail in units:
-        return head.replace("_", " "), *units[tail]
-    return name.replace("_", " "), "", 1.0
+    words, unit = words_and_unit(name)
+    return (words, "um", 1e3) if unit == "mm" else (words, unit, 1.0)

@@ -13,8 +13,8 @@ def test_one_changed_value_is_marked(paper_lens: Lens) -> None:
     lines = {line.name: line for line in compare_designs([paper_lens, other])}
     assert lines["surface 2 conic"].differs
     assert not lines["surface 2 radius, mm"].differs
-    assert lines["largest spread angle (Eq. 2), deg"].differs
-    assert lines["largest spread angle (Eq. 2), deg"].met == (False, False)
+    assert lines["largest spread angle (Eq. 2), °"].differs
+    assert lines["largest spread angle (Eq. 2), °"].met == (False, False)
     assert not any(line.differs for line in compare_designs([paper_lens, paper_lens]))
 
 

@@ -23,7 +23,7 @@ def test_designs_are_side_by_side(command: Command, monkeypatch: pytest.MonkeyPa
     assert (code, err) == (0, "")
     assert max(map(len, out.splitlines())) <= 80
     rows = [line.strip().split("  ") for line in out.splitlines()]
-    (spread, *_) = [row for row in rows if row[0].startswith("largest spread angle (Eq. 2), deg")]
+    (spread, *_) = [row for row in rows if row[0].startswith("largest spread angle (Eq. 2), °")]
     values = [text.strip() for text in spread[1:] if text.strip()]
     assert values[0].endswith("*")
     assert not values[1].endswith("*")
@@ -42,8 +42,8 @@ def test_json_has_numbers_yield_and_cost(command: Command) -> None:
     assert (paper["design"], feasible["design"]) == (str(PAPER), str(FEASIBLE))
     volume = sum(one.volume_mm3 for one in glass_elements(load_design(PAPER)))
     assert paper["values"]["glass volume, mm³"] == pytest.approx(volume, rel=1e-6)
-    assert paper["values"]["largest spread angle (Eq. 2), deg"] == pytest.approx(4.8105, abs=1e-3)
-    assert paper["met"]["largest spread angle (Eq. 2), deg"] is False
+    assert paper["values"]["largest spread angle (Eq. 2), °"] == pytest.approx(4.8105, abs=1e-3)
+    assert paper["met"]["largest spread angle (Eq. 2), °"] is False
     assert all(feasible["met"].values())
     assert 0.0 <= paper["as_built"]["yield"] <= 1.0
     assert paper["as_built"]["cost"] > 1.0

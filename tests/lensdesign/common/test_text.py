@@ -2,7 +2,13 @@
 
 import pytest
 
-from lensdesign.common.text import decimals_text, name_with_unit, number_with_unit
+from lensdesign.common.text import (
+    decimals_text,
+    name_with_unit,
+    number_with_unit,
+    quantity_label,
+    quantity_sentence,
+)
 
 
 @pytest.mark.parametrize(
@@ -26,3 +32,18 @@ def test_no_minus_sign_before_a_zero(value: float, places: int, text: str) -> No
 def test_units_are_written_as_people_write_them(unit: str, shown: str, named: str) -> None:
     assert number_with_unit("4.8", unit) == shown
     assert name_with_unit("spread", unit) == named
+
+
+@pytest.mark.parametrize(
+    ("name", "label", "sentence"),
+    [
+        ("tilt_x_deg", "tilt x (°)", "tilt x 0.1°"),
+        ("plane_2_shift_x_mm", "plane 2 shift x (mm)", "plane 2 shift x 0.1 mm"),
+        ("contrast_0p775um_refocused", "contrast 0.775 µm refocused", "contrast 0.775 µm refocused 0.1"),
+        ("radius_percent", "radius (%)", "radius 0.1 %"),
+        ("deg", "deg", "deg 0.1"),
+    ],
+)
+def test_names_of_quantities_become_words(name: str, label: str, sentence: str) -> None:
+    assert quantity_label(name) == label
+    assert quantity_sentence(name, "0.1") == sentence

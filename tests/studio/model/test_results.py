@@ -20,7 +20,7 @@ def test_a_folder_says_what_it_holds(tmp_path: Path) -> None:
     (tmp_path / "residuals.png").write_bytes(b"png")
     seen = read_folder(tmp_path, lambda _: None)
     assert (seen.verdict, seen.explained) == ("no <b>", False)
-    assert dict(seen.facts) == {"kind": "amplitude", "misfit": "0.123457", "bench, tilt x deg": "0.1"}
+    assert dict(seen.facts) == {"kind": "amplitude", "misfit": "0.123457", "bench, tilt x (°)": "0.1"}
     assert seen.pictures == (("residuals.png", b"png", b"png"),)
     assert seen.page == ""  # nothing to zoom into
 

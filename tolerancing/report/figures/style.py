@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.common.atomic_files import atomic_path
-from lensdesign.common.text import name_with_unit
+from lensdesign.common.text import name_with_unit, words_and_unit
 from lensdesign.errors import InputError
 from lensdesign.plots.saving import save_figure
 from lensdesign.plots.style import RED, styled
@@ -33,13 +32,6 @@ CHARTS: dict[str, Any] = {
     "legend.fontsize": 7.5,
 }
 """Charts of a report are small, and most readers read values from them."""
-
-_MICROMETRES = re.compile(r"(?<![A-Za-z0-9])(\d+(?:p\d+)?)um(?![A-Za-z0-9])")
-"""Lengths in names of columns, such as 0p775um."""
-
-
-def _length(match: re.Match[str]) -> str:
-    return f"{match[1].replace('p', '.')} µm"
 
 
 def chart_style(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
@@ -109,5 +101,4 @@ def draw_limit(axis: Axes, merit: Merit, horizontal: bool, label: bool = True) -
 
 
 def _labelled(column: str, unit: str) -> str:
-    name = _MICROMETRES.sub(_length, column.removesuffix(f"_{unit}")).replace("_", " ")
-    return figure_text(name_with_unit(name, unit))
+    return figure_text(name_with_unit(words_and_unit(column.removesuffix(f"_{unit}"))[0], unit))

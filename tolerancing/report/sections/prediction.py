@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.common.tables import read_number, read_table
+from lensdesign.common.text import quantity_label
 from lensdesign.errors import InputError
 from lensdesign.plots.style import BLUE, GREY, RED, styled_figure
 from tolerancing.report.blocks import (
@@ -239,8 +240,8 @@ def _on_front(data: ReportData, front: Front | None, found: StudyPrediction | No
         x, y = (own.get(column) for column in front.columns)
         if x is not None and y is not None:
             axis.plot(x, y, "*", color=RED, ms=12.0, label="this lens")
-        axis.set_xlabel(front.columns[0].replace("_", " "))
-        axis.set_ylabel(front.columns[1].replace("_", " "))
+        axis.set_xlabel(quantity_label(front.columns[0]))
+        axis.set_ylabel(quantity_label(front.columns[1]))
         axis.legend(fontsize=8)
     text = "Pareto front of lenses of the same specification, and this lens."
     return [FigureBlock((Panel(figure, text),), caption=text)]

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.text import quantity_sentence
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
@@ -104,7 +105,7 @@ class ScoreTest:
         """Sentence that names the errors of the bench."""
         head = tuple(word for word, cause in CAUSES.items() if cause == self.cause) or ("plane",)
         parts = [
-            f"{name.replace('_', ' ')} {value:+.2g}"
+            quantity_sentence(name, f"{value:+.2g}")
             for name, value in self.estimate.items()
             if name.startswith(head)
         ]

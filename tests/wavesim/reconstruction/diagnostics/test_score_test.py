@@ -44,7 +44,7 @@ def test_a_bench_that_differs_is_not_trusted_although_the_noise_hides_it() -> No
     verdict = found(decenter_x_mm=0.001, tilt_x_deg=0.3).verdict
     assert verdict.within, verdict.words
     assert (verdict.explained, verdict.cause) == (False, "mounting"), verdict.words
-    assert "tilt x deg +0." in verdict.evidence
+    assert "tilt x +0." in verdict.evidence
 
 
 @pytest.mark.parametrize(
