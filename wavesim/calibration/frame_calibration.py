@@ -354,7 +354,8 @@ def calibrate_empty(
     if not found.explained:
         warnings.warn(
             f"frames without an object: the residuals of a smooth light are {over_noise:.1f} times the "
-            "noise, which limits the accuracy of the light",
+            "noise, which limits the accuracy of the light; for dusty optics, reconstruct these frames as a "
+            "complex object, and use the result as the illumination",
             EmptyWarning,
             stacklevel=2,
         )
