@@ -117,7 +117,7 @@ def _scene(
     if not 0.0 <= tilt <= steepest_rad - SPREAD_CUT * spread:
         raise InputError(
             f"incidence_deg = {incidence_deg!r} with spread = {spread:g} rad: must be from 0 to "
-            f"{math.degrees(steepest_rad - SPREAD_CUT * spread):.4g} degrees"
+            f"{math.degrees(steepest_rad - SPREAD_CUT * spread):.4g}°"
         )
     rim = tilt + STOP_SPREADS * spread
     heights = np.cumsum([[d * _tangent(n, a) for a in (tilt, rim)] for n, d in layers], axis=0)

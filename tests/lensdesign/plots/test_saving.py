@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from lensdesign.plots.saving import save_figure
+from lensdesign.plots.style import styled
 
 
 def figure(layout: str | None) -> Figure:
@@ -29,9 +30,11 @@ def figure(layout: str | None) -> Figure:
 @pytest.mark.parametrize("dots_per_inch", [60, 110])
 def test_a_png_has_the_dots_that_matplotlib_gives(layout: str | None, dots_per_inch: int) -> None:
     ours, theirs = BytesIO(), BytesIO()
-    drawn = figure(layout)
+    with styled():
+        drawn = figure(layout)
     save_figure(drawn, ours, "png", dots_per_inch)
-    figure(layout).savefig(theirs, format="png", dpi=dots_per_inch)
+    with styled():
+        figure(layout).savefig(theirs, format="png", dpi=dots_per_inch)
     found, expected = Image.open(ours), Image.open(theirs)
     assert (found.mode, expected.mode) == ("RGB", "RGBA")
     assert np.array_equal(np.asarray(found), np.asarray(expected)[..., :3])

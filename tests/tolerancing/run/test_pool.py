@@ -103,7 +103,7 @@ def test_levels_that_are_not_the_cheapest_make_the_rows_of_one_worker(write_stud
 @pytest.mark.usefixtures("copied_workers")
 def test_workers_end_where_the_nominal_lens_cannot_be_scored(write_study, full_study, tmp_path):
     text = full_study.replace("line_widths_um = [1.0]", "line_widths_um = [50.0]")
-    with pytest.raises(InputError, match="um wide"):
+    with pytest.raises(InputError, match="µm wide"):
         run_study(load_study(write_study(text)), tmp_path / "store", workers=2)
     assert not active_children()
 

@@ -143,7 +143,7 @@ def test_counts_must_be_positive(rays, tmp_path, keys):
 
 def test_nominal_lens_that_cannot_be_scored_stops_before_a_store_is_made(write_study, full_study, tmp_path):
     text = full_study.replace("line_widths_um = [1.0]", "line_widths_um = [50.0]")
-    with pytest.raises(InputError, match="um wide"):
+    with pytest.raises(InputError, match="µm wide"):
         run_study(load_study(write_study(text)), tmp_path / "store", workers=1)
     assert not (tmp_path / "store").exists()
 

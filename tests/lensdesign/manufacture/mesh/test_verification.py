@@ -99,14 +99,14 @@ def test_each_fault_is_found(paper_lens: Lens, coarse: trimesh.Trimesh) -> None:
     assert "2 bodies, where the design has 1" in faults(trimesh.util.concatenate([coarse, speck]))
     inches = coarse.copy()
     inches.apply_scale(1.0 / 25.4)
-    assert "um off; allowed: 2 µm" in faults(inches)
+    assert "µm off; allowed: 2 µm" in faults(inches)
     wall = coarse.faces[np.abs(coarse.face_normals[:, 2]) < 1e-6]
     tube = trimesh.Trimesh(coarse.vertices, wall, process=False)
     assert "no part of the mesh belongs to surface 2 of element 1" in faults(tube)
     dented = coarse.copy()
     middle = int(np.argmin(np.linalg.norm(coarse.vertices - coarse.vertices.mean(axis=0), axis=1)))
     dented.vertices[middle] += [0.0, 0.0, 0.003]
-    assert "3" in faults(dented).split("um off")[0]
+    assert "3" in faults(dented).split("µm off")[0]
 
 
 def test_a_mesh_turned_about_the_axis_is_the_same(paper_lens: Lens, coarse: trimesh.Trimesh) -> None:
