@@ -18,7 +18,7 @@ from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
 from lensdesign.cli import workbench as cli_workbench
 from lensdesign.cli.tables import print_tables, table
-from lensdesign.common.console import make_app, print_json, run_app
+from lensdesign.common.console import make_app, print_json, run_app, say
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import quantity_text, visible
@@ -317,7 +317,7 @@ def _print_check(report: CheckReport) -> None:
     if report.feasible:
         typer.echo("every constraint is met")
     for sentence in report.violations:
-        typer.echo(f"not met: {sentence}")
+        say("not met:", sentence)
 
 
 def _met(met: bool) -> str:

@@ -12,7 +12,7 @@ import typer
 
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.atomic_files import atomic_path
-from lensdesign.common.console import print_json
+from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.progress import progress_text
@@ -358,7 +358,7 @@ def _print_optimization(result: OptimizationResult) -> None:
     for name in result.binding:
         typer.echo(f"binding: {name}")
     for sentence in result.violations:
-        typer.echo(f"not met: {sentence}")
+        say("not met:", sentence)
     if result.reach is not None:
         typer.echo(result.reach.in_words(result.lens.object))
     if result.feasible:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.atomic_files import atomic_path
-from lensdesign.common.console import print_json
+from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.progress import progress_text
@@ -70,6 +70,6 @@ def _print_fit(found: PlateFit) -> None:
     first = number_with_unit(f"{before.goal_value:.6g}", before.goal_unit)
     typer.echo(f"{before.goal}: {first} before, {last} with the plates")
     for violation in found.check.violations:
-        typer.echo(f"not met: {violation}")
+        say("not met:", violation)
     for sentence in found.unfinished:
         typer.echo(f"not finished: {sentence}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensdesign.common.console import print_json
+from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json
 
@@ -71,6 +71,6 @@ def _print_report(report: MeshReport) -> None:
     if report.edge_greatest_um is not None:
         typer.echo(f"edge: at most {report.edge_greatest_um:.4g} µm off (not part of the verification)")
     for fault in report.faults:
-        typer.echo(f"not met: {fault}")
+        say("not met:", fault)
     if not report.faults:
         typer.echo(f"the mesh agrees with the design within {report.chord_error_um:g} µm")

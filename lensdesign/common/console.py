@@ -167,7 +167,7 @@ def _short_warnings(default: Callable[..., None]) -> Callable[..., None]:
 
     def show(message: Any, category: type[Warning], *location: Any, **more: Any) -> None:
         if category.__module__.partition(".")[0] in ("lensdesign", "wavesim", "tolerancing"):
-            print(f"warning: {visible(str(message))}", file=sys.stderr)
+            say("warning:", visible(str(message)), to_errors=True)
         else:
             default(message, category, *location, **more)
 
@@ -181,6 +181,26 @@ def _drop_output() -> None:
     os.close(nowhere)
 
 
+HEAD_COLOURS = {"error:": "red", "not met:": "red", "warning:": "yellow"}
+"""Colours in which lines begin on a terminal, unless the environment variable NO_COLOR is set."""
+
+
+def say(head: str, text: str, *, to_errors: bool = False) -> None:
+    """Print a line that begins with one of the words of `HEAD_COLOURS`, in its colour on a terminal.
+
+    Parameters
+    ----------
+    head
+        First words of the line.
+    text
+        The rest of the line.
+    to_errors
+        Whether the line goes to standard error, and not to standard output.
+    """
+    coloured = head if os.environ.get("NO_COLOR") else typer.style(head, fg=HEAD_COLOURS[head], bold=True)
+    typer.echo(f"{coloured} {text}", err=to_errors)
+
+
 def fail(message: str) -> None:
     """Print an error message and exit with status 2."""
     lines = [visible(line) for line in message.split("\n")]
@@ -188,7 +208,7 @@ def fail(message: str) -> None:
     lines = [line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]}..." for line in lines]
     if len(lines) > MOST_LINES:
         lines = [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more lines"]
-    print("error: " + "\n".join(lines), file=sys.stderr)
+    say("error:", "\n".join(lines), to_errors=True)
     raise SystemExit(2)
 
 

@@ -99,7 +99,9 @@ class WhatIf:
         for deviation in deviations_of(lens, own):
             if value := own.values.get(deviation.key, 0.0):
                 owner = deviation.target if deviation.target.startswith("element") else ""
-                words.append(number_with_unit(f"{owner} {deviation.label} {value:.6g}".strip(), deviation.unit))
+                words.append(
+                    number_with_unit(f"{owner} {deviation.label} {value:.6g}".strip(), deviation.unit)
+                )
         if own.mounted != AS_DESIGNED:
             names = ", ".join(name.replace("_", " ") for name in state_table(own.mounted))
             words.append(f"{own.file or 'mounted lens'} ({names})")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.common.console import messages_only, print_json
+from lensdesign.common.console import messages_only, print_json, say
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import GRADES, Design, Json, output_option
 from lensdesign.common.text import number_with_unit
@@ -405,7 +405,7 @@ def _print_budget(study: Study, found: StudyBudget) -> None:
         interval = 100.0 * 1.96 * found.estimated_yield_error
         print(f"with the model as control variate: {100.0 * found.estimated_yield:.1f} ± {interval:.1f} %")
     if not found.agrees:
-        print("not met: yield and requirement do not agree; allow more trials (--verify)")
+        say("not met:", "yield and requirement do not agree; allow more trials (--verify)")
 
 
 def _tolerance(perturbation: Perturbation, scale: float = 1.0) -> str:

@@ -13,7 +13,7 @@ import typer
 from pydantic import AliasChoices, ValidationError
 from pydantic.fields import FieldInfo
 
-from lensdesign.common.console import message_console
+from lensdesign.common.console import say
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import output_option
@@ -268,4 +268,4 @@ def settings_text(settings: dict[str, Any]) -> str:
 def print_warnings(messages: Iterable[str]) -> None:
     """Print the warnings of engines to standard error."""
     for message in messages:
-        message_console().print(f"warning: {message}", soft_wrap=True, markup=False, highlight=False)
+        say("warning:", message, to_errors=True)

@@ -15,7 +15,7 @@ from rich.table import Table
 from stopping import heeding
 
 from lensdesign import load_design, load_specification
-from lensdesign.common.console import print_whole
+from lensdesign.common.console import print_whole, say
 from lensdesign.optimization import check_against
 
 LENSDESIGN = Path(sys.executable).parent / "lensdesign"
@@ -120,3 +120,23 @@ def test_a_table_loses_no_character(
         for name in NAMES:
             row = next(line for line in text.splitlines() if line.strip().startswith(name))
             assert row.rstrip().endswith(", ".join(NAMES))
+
+
+@pytest.mark.parametrize(
+    ("no_color", "is_terminal", "coloured"), [("", True, True), ("1", True, False), ("", False, False)]
+)
+def test_lines_begin_in_colour_on_a_terminal_only(
+    no_color: str, is_terminal: bool, coloured: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return is_terminal
+
+    shown = Terminal()
+    monkeypatch.setenv("NO_COLOR", no_color)
+    monkeypatch.setattr("sys.stderr", shown)
+    say("error:", "no light", to_errors=True)
+    text = shown.getvalue()
+    assert text.endswith(" no light\n")
+    assert ("\x1b[31m" in text) is coloured
+    assert (text == "error: no light\n") is not coloured
