@@ -85,9 +85,9 @@ def check(
 ) -> None:
     """Check matching, spread, footprint and edges, or a specification's constraints.
 
-    The check covers the match of the object's and the sensor's space-bandwidth products (Eq. 1), the largest
-    angle of the rays at the sensor (Eq. 2), the sensor, the numerical aperture, throughput and the edge
-    thickness. A specification is checked instead with --against: its constraints, with its field,
+    The check covers the match of the object's and the sensor's space-bandwidth products (Eq. 1 of the paper),
+    the largest angle of the rays behind the lens that the pixels can still sample (spread, Eq. 2), the
+    footprint on the sensor, the numerical aperture, throughput and the edge thickness. A specification is checked instead with --against: its constraints, with its field,
     aperture, wavelengths and sensor.
 
     Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.

@@ -64,6 +64,13 @@ class GroupedCommand(TyperCommand):
         ctx.meta[HELP_ALL] = HELP_ALL in args
         return super().parse_args(ctx, args)
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the parts of the usage line; names of arguments without the braces of choices."""
+        return [
+            re.sub(r"^\{(\w+)(\.\.\.)?\}(\.\.\.)?$", r"\1\2", piece)
+            for piece in super().collect_usage_pieces(ctx)
+        ]
+
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write the description of the command."""
         for paragraph in inspect.cleandoc(self.help or "").split("\n\n"):

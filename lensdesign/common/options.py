@@ -23,6 +23,7 @@ Json = Annotated[
 def output_option(text: str, metavar: str | None = None, is_folder: bool = False) -> Any:
     """Return the option `--output` with its help text; the path is checked before the command computes."""
     check = output_folder if is_folder else output_file
+    metavar = metavar or ("DIR" if is_folder else "FILE")
     return typer.Option(
         "--output", "-o", callback=check, metavar=metavar, help=text, rich_help_panel=OptionGroup.OUTPUT
     )

@@ -111,7 +111,8 @@ def pupil(
     """Predict the resolution of a reconstruction if the lens is displaced.
 
     The reconstruction assumes the nominal lens. The difference between the displaced and the nominal lens is
-    the phase of the reconstruction pupil, from which contrast and MTF are computed.
+    the phase of the reconstruction pupil, from which contrast and MTF are computed. Lines are resolved down
+    to the finest ones with a contrast of 0.2 or more.
     """
     from wavesim.plots.frames import save
     from wavesim.plots.pupils import pupil_figure

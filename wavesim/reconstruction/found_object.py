@@ -168,7 +168,7 @@ class FoundObject:
         lines = [
             ("method", f"{settings.method}, engine {self.engine.name}"),
             ("samples", f"{rows} x {columns} of {1e3 * self.transmission.grid.pitch_mm:.4g} µm"),
-            ("field stop", f"{self.patch.stop_words}, {STOP_ORIGINS[settings.field_stop_from]}"),
+            ("stop", f"{self.patch.stop_words}, {STOP_ORIGINS[settings.field_stop_from]}"),
             ("iterations", f"{len(self.curve)}, {curve_name} {self.curve[-1]:.5g}"),
         ]
         lines.append(("verdict", self.verdict.words))
