@@ -114,4 +114,4 @@ lock: $(READY)
 	sed -i '1i # Every version that make installs, and its files by their hashes: the package, its dev extra and its build requirements.\n# To renew it: make lock' requirements.lock
 
 clean:
-	rm -rf .venv .venv-lowest demo_output paper_output site build dist
+	rm -rf .venv .venv-lowest demo_output paper_output site jupyter_execute build dist

@@ -87,8 +87,8 @@ def check(
 
     The check covers the match of the object's and the sensor's space-bandwidth products (Eq. 1 of the paper),
     the largest angle of the rays behind the lens that the pixels can still sample (spread, Eq. 2), the
-    footprint on the sensor, the numerical aperture, throughput and the edge thickness. A specification is checked instead with --against: its constraints, with its field,
-    aperture, wavelengths and sensor.
+    footprint on the sensor, the numerical aperture, throughput and the edge thickness. A specification is
+    checked instead with --against: its constraints, with its field, aperture, wavelengths and sensor.
 
     Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.
     """
