@@ -11,7 +11,7 @@ from lensdesign.common.console import message_console, progress_bar
 from lensdesign.errors import InputError
 from paper.element import Budget, Element, Work
 from paper.results import PARTS, PICTURES, Result, inputs, kept, write_result
-from paper.style import styled
+from paper.style import chart_style
 
 
 def wanted(elements: Mapping[str, Element], only: Iterable[str]) -> list[Element]:
@@ -109,7 +109,7 @@ def _made(
     settings = element.settings.get(budget, {})
     work = Work(element.key, settings, folder / PICTURES, parts, progress)
     started = time.monotonic()
-    with styled(), warnings.catch_warnings():
+    with chart_style(), warnings.catch_warnings():
         for kind in (SamplingWarning, FootprintWarning):
             warnings.simplefilter("ignore", kind)
         made = element.make(work)

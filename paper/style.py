@@ -12,7 +12,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.plots.saving import save_figure
-from lensdesign.plots.style import BLUE, GREEN, GREY, INK, ORANGE, RED, SERIES, VIOLET, styled_figure
+from lensdesign.plots.style import BLUE, GLASS, GREEN, GREY, INK, ORANGE, RED, SERIES, VIOLET, styled_figure
 from tolerancing.report.figures.style import chart_style
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ __all__ = [
     "write_picture",
 ]
 
-GLASS = "#CFE3F1"
 DOTS_PER_INCH = (110, 90, 75, 60)
 """The first with which a picture is small enough."""
 
