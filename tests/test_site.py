@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from accessibility import faults
 from faces import faces
 from places import ROOT
 
@@ -159,6 +160,18 @@ def test_no_page_scrolls_sideways_on_a_telephone(site: Path, browser: Any) -> No
     for path in paths:
         page.goto(path.as_uri(), wait_until="load")
         assert page.evaluate("document.scrollingElement.scrollWidth") <= 390, path
+
+
+@needs_browser
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_pages_can_be_used_by_everybody(site: Path, browser: Any, theme: str) -> None:
+    page = browser.new_page(viewport={"width": 1200, "height": 900}, color_scheme=theme)
+    for name in ("index.html", "docs/tutorial.html", "docs/reference/lenses.html"):
+        page.goto((site / name).as_uri(), wait_until="load")
+        page.locator("main").first.wait_for()
+        page.wait_for_function("document.body && document.documentElement.dataset.theme")
+        assert faults(page) == [], name
+    page.close()
 
 
 @needs_browser

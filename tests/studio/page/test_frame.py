@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
+from accessibility import faults
 from served_workbench import Served, needs_browser, opened, until
 
 from studio.panes.themes import COLORS, FIELDS, Theme
 
-SCRIPT = (Path(__file__).parent / "accessibility.js").read_text(encoding="utf-8")
 TASKS = ("Live", "Surfaces", "Optimize", "Explore", "Tolerances", "Compare", "Export", "Reconstructions")
 BAD = """() => {
   const field = document.createElement("input");
@@ -25,11 +24,6 @@ BAD = """() => {
   document.body.prepend(...parts);
   window.unmake = () => parts.forEach((part) => part.remove());
 }"""
-
-
-def faults(page: Any) -> list[str]:
-    found: list[str] = page.evaluate(SCRIPT[SCRIPT.index("() =>") :])
-    return found
 
 
 @needs_browser

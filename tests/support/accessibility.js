@@ -32,7 +32,7 @@
     if (node.labels && node.labels.length) return [...node.labels].map(words).join(" ");
     const own = node.id && root.querySelector(`label[for="${CSS.escape(node.id)}"]`);
     if (own) return words(own);
-    return node.matches("input, select, textarea") ? "" : words(node) || node.title;
+    return node.matches("input, select, textarea") ? "" : words(node) || node.title || [...node.querySelectorAll("img")].map((one) => one.alt).join(" ");
   };
   for (const node of controls) {
     if (!isShown(node) || node.type === "hidden") continue;
@@ -102,9 +102,12 @@
     if (node.placeholder && !node.value) check(node, getComputedStyle(node, "::placeholder"), "placeholder");
   }
 
-  // Targets are at least 24 pixels wide and high; a label belongs to the target of its box.
+  // Targets are at least 24 pixels wide and high; a label belongs to the target of its box. Links within a text have
+  // the height of its lines (WCAG 2.2, 2.5.8), and a link above the window comes down when it has the focus.
+  const isInText = (node) => node.matches("a") && node.closest("p, li, td, dt, dd, figcaption, caption, h1, h2, h3") && !node.closest("nav");
   for (const node of controls) {
-    if (!isShown(node) || node.disabled || node.tagName === "DIV") continue;
+    if (!isShown(node) || node.disabled || node.tagName === "DIV" || isInText(node)) continue;
+    if (node.getBoundingClientRect().bottom <= 0) continue;
     const boxes = [node, ...(node.labels || [])].map((one) => one.getBoundingClientRect());
     const width = Math.max(...boxes.map((box) => box.width)), height = Math.max(...boxes.map((box) => box.height));
     if (Math.min(width, height) < 23.9) say(node, `target of ${width.toFixed(0)} by ${height.toFixed(0)} pixels`);
