@@ -63,7 +63,7 @@ class MaterialError(InputError):
     ...     get_material("N-BK7").index(20.0)
     ... except MaterialError as error:
     ...     print(error)
-    N-BK7 (Schott): the index at 20 um is not known; the wavelength must be from 0.3 to 2.5 um
+    N-BK7 (Schott): the index at 20 µm is not known; the wavelength must be from 0.3 to 2.5 µm
     """
 
 
