@@ -49,7 +49,7 @@ def test_every_tab_can_be_used_by_everybody(served: Served, browser: Any) -> Non
                 return not found  # noqa: B023
 
             try:
-                until(is_good, 20.0)
+                until(is_good, 120.0)  # A busy machine takes long, and dims what is not computed yet.
             except AssertionError:
                 pytest.fail(f"{theme}, {width} pixels, {tab}: {found}")
     page.get_by_role("button", name="Load the deviations").click()
