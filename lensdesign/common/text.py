@@ -94,7 +94,7 @@ def words_and_unit(name: str) -> tuple[str, str]:
     number with its unit.
     """
     head, _, tail = name.rpartition("_")
-    has_unit = bool(head) and tail in UNIT_SYMBOLS | dict.fromkeys(OTHER_UNITS)
+    has_unit = bool(head) and tail in (*UNIT_SYMBOLS, *OTHER_UNITS)
     words = re.sub(r"(?<![A-Za-z0-9])(\d+(?:p\d+)?)um(?![A-Za-z0-9])", _width, head if has_unit else name)
     return words.replace("_", " "), tail if has_unit else ""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lensdesign.common.atomic_files import atomic_path
-from lensdesign.common.text import unit_symbol, visible
+from lensdesign.common.text import name_with_unit, visible
 from lensdesign.exploration.front import ExploredPoint, front_of
 from lensdesign.exploration.objectives import Axis, Objective
 from lensdesign.plots.charts import label_axes
@@ -57,8 +57,8 @@ def axis_label(objective: Objective) -> str:
     """Return an objective in words, with its unit and the better direction."""
     words = {"na": "numerical aperture", "as_built_rms": "as-built rms"}
     name = words.get(objective.name, objective.name.replace("_", " "))
-    unit = f" ({unit_symbol(objective.unit)})" if objective.unit else ""
-    return f"{name}{unit}, {'larger' if objective.larger_is_better else 'smaller'} is better"
+    better = "larger" if objective.larger_is_better else "smaller"
+    return f"{name_with_unit(name, objective.unit)}, {better} is better"
 
 
 def write_charts(folder: Path, explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> list[Path]:

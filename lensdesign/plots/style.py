@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import wraps
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
@@ -22,7 +21,8 @@ SERIES = (BLUE, ORANGE, GREEN, VIOLET, OCHRE, GREY)
 INK, TICKS, FAINT, GRID, PAPER = "#343a40", "#495057", "#adb5bd", "#e9ecef", "#ffffff"
 GLASS = "#cfe3f1"
 
-STYLE_SHEET = "transferlens.mplstyle"
+STYLE_SHEET = "lensdesign.plots.transferlens"
+"""Name by which Matplotlib finds the style sheet of this package."""
 
 
 def styled(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
@@ -33,12 +33,10 @@ def styled(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[N
     changes
         Further settings of Matplotlib, by their names in ``matplotlib.rcParams``.
     """
-    from matplotlib import rc_params_from_file
     from matplotlib.style import context
 
-    sheet = rc_params_from_file(str(files(__package__).joinpath(STYLE_SHEET)), use_default_template=False)
-    parameters: Any = {**sheet, **(changes or {})}
-    return context(parameters)
+    further: Any = dict(changes or {})
+    return context([STYLE_SHEET, further])
 
 
 def in_style(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from lensdesign.common.text import name_with_unit, number_with_unit, unit_symbol
+from lensdesign.common.text import name_with_unit, number_with_unit
 from tolerancing.perturbations.draws import replicates
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.report.blocks import (
@@ -184,15 +184,14 @@ def _sensitivities(data: ReportData, found: Sensitivity, ranking: np.ndarray, m:
             ]
         )
     merit = data.study.merits[m]
-    unit = f" ({unit_symbol(merit.unit)})" if merit.unit else ""
     headings = [
         f"<{merit.column}", "Derivative", "at −T", "at +T", "Fit: 1", "x", "x²", "Residual", "Mean shift",
         "Std.", "Of variance",
     ]  # fmt: skip
     caption = (
-        f"Changes of {merit.column}{unit}. Derivative and fit are per unit x of the perturbation. Residual: "
-        "rms deviation from the parabola. Where it is not small compared with the changes, mean shift and "
-        "standard deviation are rough."
+        f"Changes of {name_with_unit(merit.column, merit.unit)}. Derivative and fit are per unit x of the "
+        "perturbation. Residual: rms deviation from the parabola. Where it is not small compared with the "
+        "changes, mean shift and standard deviation are rough."
     )
     return table(headings, rows, caption)
 
