@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Any
 
 from lensdesign.common.atomic_files import UNFINISHED
+from lensdesign.errors import TransferLensError
 
 REPEAT_SECONDS = 1.0
 """Time after the first signal in which repeated signals are ignored, since a key may be pressed twice."""
@@ -109,7 +110,7 @@ def stoppable() -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, Exception) as error:
-        stop = _interrupt_in(error)
+        stop = _interrupt_in(error, _stop.number)
         if stop is None:
             raise
         print(stop.args[0] if stop.args else "interrupted", file=sys.stderr)
@@ -123,15 +124,23 @@ def stoppable() -> Iterator[None]:
         sys.unraisablehook, _stop = _stop.others, None
 
 
-def _interrupt_in(error: BaseException) -> KeyboardInterrupt | None:
+def _interrupt_in(error: BaseException, number: int | None) -> KeyboardInterrupt | None:
     """Return the interrupt that caused an error, or None.
 
     Before version 3.12, Python converts an exception in `__set_name__` to a RuntimeError. Libraries
-    that catch everything, as some do while they import their parts, raise other errors in its place.
+    that catch everything, as some do while they import their parts, raise other errors in its place, and
+    compiled ones do so without naming the cause. An unexpected error after signal `number` therefore counts
+    as caused by it, but not an error with a message for the user.
     """
     found: BaseException | None = error
     while found is not None and not isinstance(found, KeyboardInterrupt):
         found = found.__cause__ or found.__context__
+    if (
+        found is None
+        and number is not None
+        and not isinstance(error, TransferLensError | OSError | MemoryError)
+    ):
+        return KeyboardInterrupt()
     return found
 
 

@@ -174,8 +174,14 @@ LIBRARY = (
     "except BaseException: raise ImportError('a part of the library is missing')"
 )
 
+COMPILED_LIBRARY = (
+    "import signal\ntry: signal.raise_signal({})\n"
+    "except BaseException: pass\n"
+    "raise ValueError('a part of the library cannot be built: KeyboardInterrupt')"
+)
 
-@pytest.mark.parametrize("code", [STRING, DESCRIPTOR, LIBRARY])
+
+@pytest.mark.parametrize("code", [STRING, DESCRIPTOR, LIBRARY, COMPILED_LIBRARY])
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGHUP, 129)])
 def test_what_python_makes_of_an_interrupt(
     tmp_path: Path, code: str, number: signal.Signals, status: int
@@ -188,6 +194,21 @@ def test_what_python_makes_of_an_interrupt(
     command = [sys.executable, "-m", "stopped"]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, preexec_fn=heeding)
     assert (ended.returncode, ended.stdout, ended.stderr) == (status, "", "interrupted\n")
+
+
+def test_an_error_of_the_orderly_stop_is_told(tmp_path: Path) -> None:
+    (tmp_path / "stopped.py").write_text(
+        "import signal\n"
+        "from lensdesign.common.interrupts import stoppable\n"
+        "from lensdesign.errors import InputError\n"
+        "with stoppable():\n"
+        "    try: signal.raise_signal(signal.SIGINT)\n"
+        "    except KeyboardInterrupt: pass\n"
+        "    raise InputError('the best so far cannot be written')\n"
+    )
+    command = [sys.executable, "-m", "stopped"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, preexec_fn=heeding)
+    assert "the best so far cannot be written" in ended.stderr
 
 
 def test_another_error_stays_what_it_is(tmp_path: Path) -> None:

@@ -369,7 +369,7 @@ def test_workers_that_are_started_ahead_end_with_a_command_that_is_stopped(
     time.sleep(seconds)
     os.killpg(running.pid, number)
     out, err = running.communicate(timeout=300)  # which waits for all that could still write
-    assert (running.returncode, out) == (128 + number, "")
+    assert (running.returncode, out) == (128 + number, ""), err
     said = [line for line in err.splitlines() if "about" not in line]
     assert all(line.startswith("interrupted") for line in said if line.strip()), err
 
