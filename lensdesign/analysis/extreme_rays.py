@@ -98,27 +98,31 @@ class _ExtremeSearch:
     def stop_points(self, field_mm: Array) -> list[Array]:
         """Return the stop point of each extreme ray of a field point; none where no ray passes."""
         samples = pupil_rings(rings=12, arms=48, edge=True).points
-        found = []
-        for quantity, values in enumerate(self.values(field_mm, samples)):
-            ends = [self._maximize(field_mm, quantity, start) for start in _starts(samples, values)]
-            if ends:
-                found.append(max(ends, key=lambda end: end[0])[1])
-        return found
+        values = self.values(field_mm, samples)
+        starts = [(quantity, start) for quantity, own in enumerate(values) for start in _starts(samples, own)]
+        if not starts:
+            return []
+        quantities = np.array([quantity for quantity, _ in starts])
+        largest, ends = self._maximize(field_mm, quantities, np.stack([start for _, start in starts]))
+        return [
+            ends[quantities == one][np.argmax(largest[quantities == one])] for one in np.unique(quantities)
+        ]
 
-    def _maximize(self, field_mm: Array, quantity: int, point: Array) -> tuple[float, Array]:
-        """Return the largest value near a stop point and its position, by shrinking grids."""
+    def _maximize(self, field_mm: Array, quantities: Array, points: Array) -> tuple[Array, Array]:
+        """Return the largest value near each stop point and its position, by shrinking grids."""
         steps = np.linspace(-1.0, 1.0, 7)
         offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        half_width = 0.15
+        rows, half_width = np.arange(len(points)), 0.15
         for _ in range(14):
-            points = point + half_width * offsets
-            radii = np.linalg.norm(points, axis=1)
-            points /= np.maximum(radii, 1.0)[:, None]
-            values = self.values(field_mm, points)[quantity]
-            best = int(np.argmax(values))
-            value, point = float(values[best]), points[best]
+            grids = points[:, None] + half_width * offsets
+            radii = np.linalg.norm(grids, axis=-1)
+            grids /= np.maximum(radii, 1.0)[..., None]
+            values = self.values(field_mm, grids.reshape(-1, 2)).reshape(-1, *grids.shape[:2])
+            values = values[quantities, rows]
+            best = np.argmax(values, axis=1)
+            largest, points = values[rows, best], grids[rows, best]
             half_width *= 0.4
-        return value, point
+        return largest, points
 
 
 def _starts(samples: Array, values: Array) -> list[Array]:

@@ -29,8 +29,17 @@ def draw_shape(generator: np.random.Generator) -> Array:
 
 def peak_to_valley(shapes: Array) -> Array:
     """Return the peak-to-valley value of each figure, from coefficients of shape (trials, 11)."""
+    return _peak_to_valley(np.ascontiguousarray(shapes, float).tobytes())
+
+
+@lru_cache(maxsize=64)
+def _peak_to_valley(shapes: bytes) -> Array:
+    """Return the values of the same figures, which scaled draws and other lenses ask for many times."""
+    rows = np.frombuffer(shapes).reshape(-1, len(INDICES))
     # Row by row: a product of all rows at once may round differently with the number of rows.
-    return np.array([np.ptp(shape @ _sampled()) for shape in shapes])
+    found = np.array([np.ptp(row @ _sampled()) for row in rows])
+    found.flags.writeable = False
+    return found
 
 
 def random_surface_figures(
