@@ -177,7 +177,7 @@ def studio(light: Path, dark: Path) -> None:
             page = browser.new_page(viewport={"width": 1440, "height": 1500}, color_scheme=scheme)
             page.goto(address)
             page.get_by_role("tab", name="What if", exact=True).click()
-            for label, amount in (("lens decenter y, mm", "0.03"), ("lens tilt x, deg", "0.1")):
+            for label, amount in (("lens decenter y, mm", "0.03"), ("lens tilt x, °", "0.1")):
                 box = page.get_by_label(label, exact=True)
                 box.fill(amount)
                 box.press("Enter")

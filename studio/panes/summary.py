@@ -9,12 +9,13 @@ import numpy as np
 import panel as pn
 
 from lensdesign.analysis.report import CheckReport, Constraint
-from lensdesign.common.text import quantity_text
+from lensdesign.common.text import number_with_unit, quantity_text, words_and_unit
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.files import remember
 from studio.panes.common import Guarded, bench_of, follow, message_pane, text
 from studio.panes.files import FileChoice
+from tolerancing.merits.base import Merit
 from tolerancing.perturbations.grades import GRADES
 from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
@@ -94,7 +95,7 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
             return
         predicted, waves = found.prediction, found.prediction.wavefronts
         limits = "".join(
-            f"<tr><td>{text(one.merit.label.replace('_', ' '))} {text(one.merit.limit_text)}"
+            f"<tr><td>{text(_limit_sentence(one.merit))}"
             f"<br><small>{text(one.merit.location)}</small></td>"
             f"<td>{100.0 * one.yield_fraction:.1f} %</td></tr>"
             for one in predicted.limits
@@ -104,12 +105,12 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
             for p in (() if waves is None else waves.points)
         )
         bars = "".join(
-            f'<tr><td>{text(name.replace("_", " "))}</td><td class="bar">'
+            f'<tr><td>{text(words_and_unit(name)[0])}</td><td class="bar">'
             f'<i style="width:{fraction:.1f}%"></i></td><td>{fraction:.0f} %</td></tr>'
             for name, fraction in (() if waves is None else _contributions(waves)[:7])
         )
         cost = "" if found.cost is None else f" · cost {found.cost:.2f}"
-        others = ", ".join(predicted.not_predicted)
+        others = ", ".join(words_and_unit(name)[0] for name in predicted.not_predicted)
         note = f"<p>not in this yield, scored by trials only: {text(others)}</p>" if others else ""
         if "built" in bench.analysis.exact and not predicted.is_trustworthy:
             note += '<p class="miss">too large tolerances for a prediction: run a study under Tolerances</p>'
@@ -123,6 +124,11 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
 
     follow(bench, pane, update)
     return pane
+
+
+def _limit_sentence(merit: Merit) -> str:
+    words, unit = words_and_unit(merit.label)
+    return f"{words} {merit.limit_text if merit.unit else number_with_unit(merit.limit_text, unit)}"
 
 
 def _contributions(waves: WavefrontPrediction) -> list[tuple[str, float]]:

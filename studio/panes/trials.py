@@ -108,7 +108,7 @@ class _Tolerances(JobPane):
             return
         if self.drawn is not run:
             self.drawn, self.progress = run, None
-            labels = {merit.label.replace("_", " "): k for k, merit in enumerate(run.study.merits)}
+            labels = {quantity_label(merit.label): k for k, merit in enumerate(run.study.merits)}
             first = next((k for k, m in enumerate(run.study.merits) if isinstance(m, RmsWaves)), 0)
             self.merit.param.update(options=labels, value=first, visible=True)
             self._read()

@@ -103,7 +103,7 @@ def what_if(lens: Workbench | Lens) -> pn.Column:
                     "key": deviation.key,
                     "group": _group_of(deviation),
                     "label": deviation.label,
-                    "unit": deviation.unit,
+                    "unit": unit_symbol(deviation.unit),
                     "text": f"{value:.6g}",
                     "number": value,
                     "low": -largest,

@@ -1,0 +1,31 @@
+"""Figures beside the layout: limits and perturbations in words, with units as people write them."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+
+import panel as pn
+
+from lensdesign.lens.lens import Lens
+from studio.model.bench import Workbench
+from studio.panes.summary import as_built
+
+
+def shown_text(pane: pn.viewable.Viewable) -> str:
+    """The text of all messages in a pane, without tags."""
+    html = " ".join(str(one.object) for one in pane.select(pn.pane.HTML))
+    return " ".join(unescape(re.sub(r"<[^>]*>", " ", html)).split())
+
+
+def test_limits_and_perturbations_are_named_in_words(paper_lens: Lens) -> None:
+    bench = Workbench(paper_lens)
+    try:
+        bench.settle()
+        shown = shown_text(as_built(bench))
+    finally:
+        bench.close()
+    assert re.search(r"rms at most \S+ waves", shown)
+    assert re.search(r"largest spread at most \S+°", shown)
+    assert "decenter y" in shown
+    assert not re.search(r"\w_\w|\b(deg|mm) \d+ %", shown)
