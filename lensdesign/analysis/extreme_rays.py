@@ -104,9 +104,8 @@ class _ExtremeSearch:
             return []
         quantities = np.array([quantity for quantity, _ in starts])
         largest, ends = self._maximize(field_mm, quantities, np.stack([start for _, start in starts]))
-        return [
-            ends[quantities == one][np.argmax(largest[quantities == one])] for one in np.unique(quantities)
-        ]
+        groups = [np.flatnonzero(quantities == quantity) for quantity in np.unique(quantities)]
+        return [ends[rows[np.argmax(largest[rows])]] for rows in groups]
 
     def _maximize(self, field_mm: Array, quantities: Array, points: Array) -> tuple[Array, Array]:
         """Return the largest value near each stop point and its position, by shrinking grids."""

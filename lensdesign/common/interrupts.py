@@ -22,6 +22,9 @@ REPEAT_SECONDS = 1.0
 GRACE_SECONDS = 10.0
 """Time limit for an orderly stop; after it, the process ends immediately."""
 
+TOLD_ERRORS = (TransferLensError, OSError, MemoryError, OverflowError)
+"""Errors of which :func:`lensdesign.common.console.run_app` makes a message for the user."""
+
 
 class _Stop:
     """State of the first signal, and handling of later ones."""
@@ -135,11 +138,7 @@ def _interrupt_in(error: BaseException, number: int | None) -> KeyboardInterrupt
     found: BaseException | None = error
     while found is not None and not isinstance(found, KeyboardInterrupt):
         found = found.__cause__ or found.__context__
-    if (
-        found is None
-        and number is not None
-        and not isinstance(error, TransferLensError | OSError | MemoryError)
-    ):
+    if found is None and number is not None and not isinstance(error, TOLD_ERRORS):
         return KeyboardInterrupt()
     return found
 

@@ -130,7 +130,7 @@ class _Tolerances(JobPane):
         else:
             fraction, low, high = (100.0 * v for v in (good.fraction, good.low, good.high))
             alone = ", ".join(
-                f"{text(one.merit.label.replace('_', ' '))} {100.0 * one.good.fraction:.1f} %"
+                f"{text(words_and_unit(one.merit.label)[0])} {100.0 * one.good.fraction:.1f} %"
                 for one in found.summary.merits
                 if one.good is not None
             )
