@@ -80,6 +80,10 @@ class Exploration:
     on_result: Callable[[ExploredPoint], None] = lambda _: None
     progress: Callable[[int, int, str], None] = lambda *_: None
 
+    def __post_init__(self) -> None:
+        # A search for another objective would only reduce a variable field to its smallest diameter.
+        object.__setattr__(self, "specification", self.specification.with_fixed_field())
+
     def run(self) -> list[ExploredPoint]:
         """Run all searches and return their results, ordered by the choice of glasses.
 

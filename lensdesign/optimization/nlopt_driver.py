@@ -31,7 +31,7 @@ class Evaluation:
     Attributes
     ----------
     goals : ndarray, shape (k,)
-        Scaled goals, the largest of which is minimized.
+        Scaled goals, the largest of which is minimized down to 0; lower values count as 0.
     goals_by : ndarray, shape (k, n)
         Derivatives of the goals.
     constraints : ndarray, shape (m,)

@@ -179,6 +179,8 @@ class DesignProblem:
             own = changes.setdefault(variable.surface, {})
             if variable.kind == "working_distance":
                 scene = ObjectSpace(**(scene.model_dump() | {"working_distance_mm": float(value)}))
+            elif variable.kind == "log_field":
+                scene = ObjectSpace(**(scene.model_dump() | {"field_diameter_mm": math.exp(value)}))
             elif variable.kind == "thickness":
                 own["thickness_mm"] = float(value)
             else:
@@ -207,17 +209,22 @@ class DesignProblem:
         return self.sample_rays(3, 3, 4)
 
     def state(self, point: Array, rays: Rays, derivatives: bool = True) -> State:
-        """Trace rays through the lens at a point of the unit box, with or without derivatives."""
-        change = self.temperature_change
+        """Trace rays through the lens at a point of the unit box, with or without derivatives.
+
+        The rays are those of the base lens; their object points are scaled to the field of this lens.
+        """
+        change, lens = self.temperature_change, self.lens_at(point)
+        factor = lens.object.field_diameter_mm / self.base.object.field_diameter_mm
+        given, rays = rays, replace(rays, fields_mm=factor * rays.fields_mm)
         return State(
-            self.lens_at(point),
+            lens,
             self.variables if derivatives else (),
             rays.fields_mm,
             tuple(self._trace(point, base, rays, derivatives) for base in self.compiled),
             self.as_built(point, derivatives),
             None if change is None else change.temperature_c,
             None if change is None else change.expansion_factors,
-            tuple(other.state(point, rays, derivatives) for other in self.heated),
+            tuple(other.state(point, given, derivatives) for other in self.heated),
             self.losses(point, derivatives),
         )
 
@@ -407,6 +414,8 @@ def _value(lens: Lens, variable: Variable) -> float:
     surface = lens.surfaces[variable.surface]
     if variable.kind == "working_distance":
         return lens.object.working_distance_mm
+    if variable.kind == "log_field":
+        return math.log(lens.object.field_diameter_mm)
     if variable.kind == "thickness":
         return surface.thickness_mm or 0.0
     return surface.shape.term(variable.kind)

@@ -25,7 +25,7 @@ from lensdesign.optimization.limits.search import LimitsInterrupted, binding
 from lensdesign.optimization.local_search import SearchResult
 from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.problem import finished_lens
-from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_GOAL
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LARGEST, LOSS_GOAL
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.stop_rules import Ending
 from lensdesign.optimization.specification_check import at_temperatures, check_against
@@ -261,7 +261,7 @@ def _result(
             raise KeyboardInterrupt(f"interrupted; nothing was written: {error}") from None
         sentences = [*unfinished, str(error)]
         if not specification.asks_losses:
-            sentences.append(can().in_words(specification.object))
+            sentences.append(can().in_words(specification.required_object))
         raise DesignError("; ".join(sentences)) from None
     unchecked: list[str] = []
     if ending.built is None and specification.as_built is not None:
@@ -385,8 +385,8 @@ def _variables(specification: Specification, lens: Lens) -> dict[str, float | st
         surface = lens.surfaces[(v.surface or 1) - 1]
         if v.parameter == "stop":
             values["stop on surface"] = str(lens.stop_index + 1)
-        elif v.parameter == "working_distance_mm":
-            values[v.name] = lens.object.working_distance_mm
+        elif v.surface is None:
+            values[v.name] = getattr(lens.object, v.parameter)
         elif hasattr(surface, v.parameter):
             values[v.name] = getattr(surface, v.parameter)
         else:
@@ -405,8 +405,8 @@ def _goal(specification: Specification, goals: list[Operand]) -> tuple[float, st
         return math.degrees(math.asin(min(1.0, sine))), "deg"
     if goal == "smallest aperture":
         return math.sqrt(largest) * specification.stop_semi_diameter_mm, "mm"
-    if goal == "longest working distance":
-        return -largest * specification.object.working_distance_mm, "mm"
+    if goal in LARGEST:
+        return getattr(specification.object, LARGEST[goal]) / largest, "mm"
     return largest * specification.exit_vertex_z_mm, "mm"
 
 

@@ -237,7 +237,7 @@ class _Progress:
             return
         kept = "feasible" if violation <= FEASIBLE else f"violation {violation:.2g}"
         self.report(
-            f"{self.specification.optimize.goal}, {self.glasses}, {self._starts()}: {abs(objective):.6f} of "
+            f"{self.specification.optimize.goal}, {self.glasses}, {self._starts()}: {objective:.6f} of "
             f"reference, {kept}, {evaluations} evaluations, {time - self.began:.1f} s{self._estimate(time)}"
         )
 

@@ -61,6 +61,8 @@ def check_against(
         If no ray passes at one of the wavelengths.
     """
     scene = specification.object.replaced(working_distance_mm=lens.object.working_distance_mm)
+    if specification.field_range_mm is not None:
+        scene = scene.replaced(field_diameter_mm=lens.object.field_diameter_mm)
     judged = lens.replaced(
         wavelengths_um=specification.wavelengths_um, sensor=specification.sensor, object=scene
     )

@@ -74,12 +74,12 @@ class TemperatureChange:
             [
                 _scale_factor(base.surfaces[v.surface], v.kind, float(self.expansion_factors[v.surface]))
                 if v.is_shape_term
-                else 0.0
+                else float(v.kind == "log_field")
                 for v in variables
             ]
         )
         spaces = (Variable("thickness", i) for i in range(len(base.surfaces) - 1))
-        self.own = (*(v for v in variables if v.is_shape_term), Variable("working_distance"), *spaces)
+        self.own = (*(v for v in variables if _is_kept(v)), Variable("working_distance"), *spaces)
 
     def with_glasses(self, base: Lens) -> Lens:
         """Return a lens with its glasses at the temperature and everything else unchanged."""
@@ -117,7 +117,7 @@ class TemperatureChange:
         """Return the derivatives of the own variables by those of the search, shape (own, v)."""
         if not variables:
             return np.zeros((len(self.own), 0))
-        shapes = np.diag(self.factors)[[v.is_shape_term for v in variables]]
+        shapes = np.diag(self.factors)[[_is_kept(v) for v in variables]]
         spaces = [self._expanded(i - 1, by, sags_by) for i, by in enumerate(lengths_by)]
         return np.vstack([shapes, *spaces])
 
@@ -134,6 +134,11 @@ class TemperatureChange:
         scene = cold.object.model_copy(update={"working_distance_mm": float(spaces[0])})
         sensor = cold.sensor.model_copy(update={"plane_distances_mm": tuple(planes.tolist())})
         return cold.model_copy(update={"surfaces": tuple(surfaces), "object": scene, "sensor": sensor})
+
+
+def _is_kept(variable: Variable) -> bool:
+    """Return whether a variable of the search is also one of the heated lens; spaces depend on others."""
+    return variable.is_shape_term or variable.kind == "log_field"
 
 
 def _is_space(variable: Variable, surface: int) -> bool:

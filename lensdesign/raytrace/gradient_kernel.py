@@ -13,7 +13,7 @@ from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from lensdesign.raytrace.conic_kernel import MISSED, NOT_CONVERGED, OK, TOTAL_REFLECTION, conic_distance
 from lensdesign.raytrace.kernel import CONIC, newton
 
-SHAPE, THICKNESS, WORKING_DISTANCE, LAUNCH_X, LAUNCH_Y = range(5)
+SHAPE, THICKNESS, WORKING_DISTANCE, LAUNCH_X, LAUNCH_Y, LOG_FIELD = range(6)
 
 _jit = cached_njit(nogil=True, error_model="numpy")
 
@@ -91,6 +91,9 @@ def _launch(p, d, dp, dd, kind):
         elif kind[j] == LAUNCH_Y:
             dd[1, j] = 1.0
             dd[2, j] = -d[1] / d[2]
+        elif kind[j] == LOG_FIELD:
+            dp[0, j] = p[0]
+            dp[1, j] = p[1]
 
 
 @_jit

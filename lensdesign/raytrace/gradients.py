@@ -13,7 +13,7 @@ from lensdesign.raytrace.bundles import launch_pairs
 from lensdesign.raytrace.compiled import CompiledSystem
 from lensdesign.raytrace.status import Status
 
-KINDS = ("thickness", "working_distance", "launch_x", "launch_y")
+KINDS = ("thickness", "working_distance", "launch_x", "launch_y", "log_field")
 """Variables that are not terms of a surface's shape."""
 
 
@@ -24,10 +24,10 @@ class Variable:
     Attributes
     ----------
     kind
-        ``thickness`` (mm), ``working_distance`` (mm), or a term of the surface's shape: ``curvature`` (1/mm),
-        ``conic``, ``asphere_4``, ...
+        ``thickness`` (mm), ``working_distance`` (mm), ``log_field`` (logarithm of a factor of all object
+        points), or a term of the surface's shape: ``curvature`` (1/mm), ``conic``, ``asphere_4``, ...
     surface
-        Index of the surface, from 0; unused for the working distance.
+        Index of the surface, from 0; unused for the working distance and the field.
     """
 
     kind: str

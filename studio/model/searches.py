@@ -31,6 +31,7 @@ GOALS = (
     "smallest aperture",
     "shortest track",
     "longest working distance",
+    "largest field",
     "as-built rms",
     "yield",
 )
@@ -152,9 +153,9 @@ def variables_of(lens: Lens) -> dict[str, dict[str, Any]]:
         if surface.thickness_mm is not None:
             bounds = [0.3 * surface.thickness_mm, 2.0 * surface.thickness_mm]
             found[f"surface {i} thickness_mm"] = {"surface": i, "parameter": "thickness_mm", "bounds": bounds}
-    distance = lens.object.working_distance_mm
-    bounds = [0.5 * distance, 2.0 * distance]
-    found["working_distance_mm"] = {"parameter": "working_distance_mm", "bounds": bounds}
+    for name in ("working_distance_mm", "field_diameter_mm"):
+        length = getattr(lens.object, name)
+        found[name] = {"parameter": name, "bounds": [0.5 * length, 2.0 * length]}
     return found
 
 

@@ -123,8 +123,12 @@ def feasibility_limit(
         if found is not None:
             return found
         specification = _nominal(specification)
+    continuous = [v for v in specification.variables if not v.discrete]
+    if all(v.parameter == "field_diameter_mm" for v in continuous):
+        return FeasibilityLimit()  # nothing can be changed to reach more
+    near = {glasses: point[[v.parameter != "field_diameter_mm" for v in continuous]]}
     return feasibility_limit_of(
-        find_limits(specification, report, seed, (FIELD, APERTURE), {glasses: point}, most=1.0), nominal
+        find_limits(specification, report, seed, (FIELD, APERTURE), near, most=1.0), nominal
     )
 
 

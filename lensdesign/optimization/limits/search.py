@@ -132,7 +132,7 @@ def find_limits(
     Parameters
     ----------
     specification
-        The specification. Its goal has no effect.
+        The specification. Its goal has no effect. A variable field is required at its smallest diameter.
     report
         Progress callback, called with a line of text at each step (default: none).
     seed
@@ -154,7 +154,7 @@ def find_limits(
     LimitsInterrupted
         If the search is interrupted.
     """
-    specification = _without_as_built_goal(specification)
+    specification = _without_as_built_goal(specification.with_fixed_field())
     limits: list[Limit] = []
     known = [*(near or {}).items()]
     for quantity in limited_quantities(specification) if quantities is None else quantities:

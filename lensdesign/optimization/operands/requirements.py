@@ -22,8 +22,9 @@ from lensdesign.optimization.operands.operand import (
     heights_of,
     squares_of,
 )
-from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_GOAL
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LARGEST, LOSS_GOAL
 from lensdesign.optimization.specification.specification import Specification
+from lensdesign.optimization.specification.variables import LENGTHS
 from lensdesign.raytrace.gradients import GradientTrace
 
 
@@ -53,11 +54,15 @@ def goal_operands(specification: Specification, state: State) -> list[Operand]:
             for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
             for i in range(len(lens.surfaces))
         ]
-    if goal == "longest working distance":
-        reference = specification.object.working_distance_mm
-        by = np.array([float(v.kind == "working_distance") for v in state.variables])
-        distance = state.lens.object.working_distance_mm
-        return [Operand(goal, np.array([-distance / reference]), -by[None] / reference)]
+    if goal in LARGEST:
+        reference, length = (getattr(x.object, LARGEST[goal]) for x in (specification, state.lens))
+        kind = LENGTHS[LARGEST[goal]]
+        log_by = np.array([float(v.kind == kind) for v in state.variables])
+        if kind != "log_field":
+            log_by /= length
+        # The reciprocal is positive, as the search requires of goals.
+        smallness = reference / length
+        return [Operand(goal, np.array([smallness]), -smallness * log_by[None])]
     length, by = track(state) if goal == "shortest track" else lens_thickness(state)
     reference = lens.exit_vertex_z_mm
     return [Operand(goal, np.array([length / reference]), by[None] / reference)]

@@ -157,6 +157,10 @@ AS_BUILT_GOALS = ("as-built rms", "yield", LOSS_GOAL)
 """Goals that need tolerances."""
 
 
+LARGEST = {"longest working distance": "working_distance_mm", "largest field": "field_diameter_mm"}
+"""Goals that maximize a variable, and its parameter."""
+
+
 class Settings(FrozenModel):
     """Settings of the search.
 
@@ -166,10 +170,10 @@ class Settings(FrozenModel):
         ``smallest spread`` (the largest ratio of spread to limit over the wavelengths, Eq. 2),
         ``smallest spread angle`` (the largest angle at any wavelength), ``thinnest lens``,
         ``smallest aperture``, ``shortest track`` (object to last sensor plane), ``longest working distance``
-        (which must be a variable), ``as-built rms`` (the largest
-        wavefront error of built lenses at the tolerances' object points), ``yield`` (the fraction of
-        lenses that keep all limits of the study), or ``as-built reconstruction loss`` (the largest mean
-        over built lenses of a merit `reconstruction_loss` of the study).
+        and ``largest field`` (which must be a variable), ``as-built rms`` (the largest wavefront error of
+        built lenses at the tolerances' object points), ``yield`` (the fraction of lenses that keep all limits
+        of the study), or ``as-built reconstruction loss`` (the largest mean over built lenses of a merit
+        `reconstruction_loss` of the study).
     start
         First start: ``design`` is the lens in the file, ``plate`` the same with flat variable surfaces,
         ``random`` a random point within the bounds.
@@ -196,6 +200,7 @@ class Settings(FrozenModel):
         "smallest aperture",
         "shortest track",
         "longest working distance",
+        "largest field",
         "as-built rms",
         "yield",
         "as-built reconstruction loss",

@@ -18,10 +18,11 @@ from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
 from lensdesign.files.design import validate_kind, validated_lens
 from lensdesign.lens.glass import refractive_index
-from lensdesign.lens.lens import Lens
+from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.temperature import check_heat, lens_at_temperature
 from lensdesign.optimization.as_built import AsBuilt, read_as_built
 from lensdesign.optimization.specification.sections import (
+    LARGEST,
     LOSS_GOAL,
     Constraints,
     Environment,
@@ -74,13 +75,11 @@ class Specification(Lens):
             raise ValueError(
                 "goals and constraints of lenses as built need their tolerances: [tolerances] study"
             )
-        distance = "longest working distance"
-        if self.optimize.goal == distance and all(
-            v.parameter != "working_distance_mm" for v in self.variables
-        ):
-            raise ValueError(
-                f"goal = {distance!r}: needs a [[variable]] with working_distance_mm, and bounds"
-            )
+        goal = self.optimize.goal
+        if goal in LARGEST and all(v.parameter != LARGEST[goal] for v in self.variables):
+            raise ValueError(f"goal = {goal!r}: needs a [[variable]] with {LARGEST[goal]}, and bounds")
+        if self.field_range_mm is not None:
+            self._check_variable_field()
         seen = set()
         for v in self.variables:
             if v.surface is not None and v.surface > len(self.surfaces):
@@ -113,6 +112,49 @@ class Specification(Lens):
                     f"{self.half_field_mm:g} mm"
                 )
         return self
+
+    def _check_variable_field(self) -> None:
+        """Refuse what belongs to fixed object points, which a variable field may leave."""
+        if self.constraints.field_spread:
+            raise ValueError(
+                "variable field_diameter_mm: field_spread limits fixed field heights; remove one of both"
+            )
+        if self.asks_as_built:
+            raise ValueError(
+                "variable field_diameter_mm: goals and constraints of lenses as built need a fixed field; "
+                "`lensdesign limits` finds the largest field for them"
+            )
+
+    @property
+    def field_range_mm(self) -> tuple[float, float] | None:
+        """Smallest and largest diameter of a variable field; None if the field is fixed."""
+        return next((v.bounds for v in self.variables if v.parameter == "field_diameter_mm"), None)
+
+    @property
+    def required_object(self) -> ObjectSpace:
+        """Object that every lens must cover: that of the start, with the smallest diameter of the field."""
+        if self.field_range_mm is None:
+            return self.object
+        return self.object.replaced(field_diameter_mm=self.field_range_mm[0])
+
+    def with_fixed_field(self) -> Self:
+        """Return the specification with the smallest diameter of a variable field, which is then fixed.
+
+        Raises
+        ------
+        DesignError
+            If no variable remains.
+        """
+        if self.field_range_mm is None:
+            return self
+        fixed = tuple(v for v in self.variables if v.parameter != "field_diameter_mm")
+        if not fixed:
+            raise DesignError("field_diameter_mm is the only variable; this search needs another one")
+        goal = "thinnest lens" if self.optimize.goal == "largest field" else self.optimize.goal
+        settings = self.optimize.replaced(goal=goal)
+        return self.model_copy(
+            update={"object": self.required_object, "variables": fixed, "optimize": settings}
+        )
 
     def without_as_built(self) -> Self:
         """Return the specification without the constraints on lenses as built; the goal stays."""
@@ -291,7 +333,7 @@ def validate_possible(specification: Specification) -> None:
     DesignError
         If no lens can meet the specification; the message has the numbers.
     """
-    scene = specification.object
+    scene = specification.required_object
     invariant = scene.field_diameter_mm * scene.numerical_aperture
     sine = min(specification.spread_limit(w) for w in specification.wavelengths_um)
     if math.isinf(sine):

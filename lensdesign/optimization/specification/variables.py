@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -11,6 +12,18 @@ from lensdesign.lens.shapes.base import term_of
 from lensdesign.lens.shapes.registry import parameters
 from lensdesign.raytrace.gradients import Variable
 
+LENGTHS = {
+    "thickness_mm": "thickness",
+    "working_distance_mm": "working_distance",
+    "field_diameter_mm": "log_field",
+}
+"""Parameters above 0 that are lengths, and their kinds of
+:class:`lensdesign.raytrace.gradients.Variable`.
+"""
+
+OF_THE_LENS = ("working_distance_mm", "field_diameter_mm", "stop")
+"""Parameters that do not belong to one surface."""
+
 
 class VariableRange(FrozenModel):
     """A variable with its bounds or choices.
@@ -19,9 +32,10 @@ class VariableRange(FrozenModel):
     ----------
     parameter
         ``radius_mm``, ``conic``, ``asphere_4``, ``asphere_6``, ... (coefficients in mm^-3, mm^-5, ...),
-        ``thickness_mm``, ``working_distance_mm``, ``material`` or ``stop`` (the number of the stop surface).
+        ``thickness_mm``, ``working_distance_mm``, ``field_diameter_mm``, ``material`` or ``stop`` (the number
+        of the stop surface).
     surface
-        Number of the surface, from 1; None for the working distance and the stop.
+        Number of the surface, from 1; None for the working distance, the field and the stop.
     bounds
         Smallest and largest value, in the unit of the parameter.
     smallest_radius_mm
@@ -47,14 +61,13 @@ class VariableRange(FrozenModel):
             given = getattr(self, name) not in (None, ())
             if given != (name == needed):
                 raise ValueError(f"{self.parameter} needs {needed}" + (f", not {name}" if given else ""))
-        if (self.surface is None) != (self.parameter in ("working_distance_mm", "stop")):
+        if (self.surface is None) != (self.parameter in OF_THE_LENS):
             raise ValueError(f"{self.parameter} {'takes no' if self.surface else 'needs a'} surface number")
         if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
             raise ValueError(f"bounds = {list(self.bounds)}: the first must be less than the second")
-        lengths = ("thickness_mm", "working_distance_mm")
         if (
             self.bounds is not None
-            and self.parameter in lengths
+            and self.parameter in LENGTHS
             and not 0.0 < self.bounds[0] < self.bounds[1] <= 1e9
         ):
             raise ValueError(
@@ -69,12 +82,11 @@ class VariableRange(FrozenModel):
 
     def kind(self) -> str:
         """Return the kind of :class:`lensdesign.raytrace.gradients.Variable`."""
-        lengths = ("thickness_mm", "working_distance_mm")
-        if self.parameter in lengths:
-            return self.parameter.removesuffix("_mm")
+        if self.parameter in LENGTHS:
+            return LENGTHS[self.parameter]
         if self.parameter in parameters():
             return term_of(self.parameter)
-        allowed = ", ".join([*parameters(), *lengths, "material", "stop"])
+        allowed = ", ".join([*parameters(), *LENGTHS, "material", "stop"])
         raise ValueError(f"parameter = {self.parameter!r}: unknown; allowed: {allowed}")
 
     @property
@@ -87,8 +99,12 @@ class VariableRange(FrozenModel):
         return Variable(self.kind(), (self.surface or 1) - 1)
 
     def limits(self) -> tuple[float, float]:
-        """Return the bounds of the internal variable: the curvature for a radius, else the value itself."""
+        """Return the bounds of the internal variable.
+
+        It is the curvature for a radius, the logarithm for the field diameter, and else the value itself.
+        """
         if self.smallest_radius_mm is not None:
             return -1.0 / self.smallest_radius_mm, 1.0 / self.smallest_radius_mm
         assert self.bounds is not None  # the validator requires it
-        return self.bounds
+        lower, upper = self.bounds
+        return (math.log(lower), math.log(upper)) if self.parameter == "field_diameter_mm" else self.bounds

@@ -15,12 +15,15 @@ from lensdesign.analysis.exit_beam import footprint, largest_spread_angle
 from lensdesign.analysis.outline import drawn_outline
 from lensdesign.errors import DesignError
 from lensdesign.optimization import result, search
+from lensdesign.optimization.limits import search as limits_search
 from lensdesign.optimization.limits.feasible_limits import FeasibilityLimit
+from lensdesign.optimization.limits.limited_quantities import FIELD as FIELD_LIMIT
+from lensdesign.optimization.limits.search import find_limits
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
 from lensdesign.optimization.result import GlassChoiceResult
 from lensdesign.optimization.search import optimize
-from lensdesign.optimization.specification.sections import Constraints, FieldSpread, Settings
+from lensdesign.optimization.specification.sections import Constraints, FieldSpread, Settings, Tolerances
 from lensdesign.optimization.specification.specification import Specification, load_specification
 from lensdesign.optimization.specification.variables import VariableRange
 from lensdesign.optimization.worst_rays import worse_rays
@@ -166,20 +169,94 @@ def test_working_distance_may_vary_with_the_stop_following_it(thinnest, goal):
     assert check_design(lens).feasible
 
 
-def test_the_longest_working_distance_is_found(thinnest):
+def test_the_longest_working_distance_is_found(thinnest, monkeypatch):
     specification = changed(
         thinnest,
         optimize=Settings(
-            goal="longest working distance", start="plate", stop="numerical aperture", starts=2, agreeing=1
+            goal="longest working distance", start="plate", stop="numerical aperture", agreeing=2
         ),
-        variables=(*thinnest.variables, WIDE[-1]),
+        variables=(*thinnest.variables, VariableRange(parameter="working_distance_mm", bounds=(8.0, 30.0))),
     )
     found = optimize(specification)
     assert found.feasible, found.violations
-    assert (found.goal_unit, found.goal_value) == ("mm", found.lens.object.working_distance_mm)
-    assert found.goal_value > thinnest.object.working_distance_mm
+    assert found.goal_unit == "mm"
+    assert found.goal_value == pytest.approx(found.lens.object.working_distance_mm, rel=1e-12)
+    assert found.agreed
+    fixed = changed(
+        thinnest,
+        object=thinnest.object.replaced(working_distance_mm=1.01 * found.goal_value),
+        optimize=Settings(goal="thinnest lens", start="random", stop="numerical aperture", starts=6),
+    )
+    monkeypatch.setattr(result, "feasibility_limit", lambda *_: None)
+    assert not optimize(fixed).feasible
     with pytest.raises(ValueError, match=r"needs a .*working_distance_mm"):
         changed(thinnest, optimize=Settings(goal="longest working distance"))
+
+
+FIELD = VariableRange(parameter="field_diameter_mm", bounds=(2.0, 6.0))
+
+
+@pytest.mark.parametrize("goal", [*GOALS, "largest field"])
+def test_gradients_with_a_variable_field(thinnest, goal):
+    specification = changed(
+        thinnest,
+        optimize=Settings(goal=goal, stop="numerical aperture"),
+        constraints=Constraints(min_throughput=0.8, max_spread_xy_deg=(4.0, 4.5)),
+        variables=(FIELD, *thinnest.variables, *WIDE),
+    ).with_surface(1, semi_diameter_mm=10.0)
+    problem = DesignProblem(specification, specification.lens)
+    point = np.array([0.7, 0.57, 0.11, 0.7, 0.4, 0.52, 0.47, 0.6])
+    assert problem.lens_at(point).object.field_diameter_mm == pytest.approx(2.0 * 3.0**0.7)
+    assert_gradients(problem, point, problem.sample_rays(3, 5, 2))
+
+
+def test_the_largest_field_is_the_one_that_a_search_for_limits_finds(thinnest):
+    """That search asks for one fixed field after another."""
+    specification = changed(
+        thinnest,
+        optimize=Settings(goal="largest field", start="plate", stop="numerical aperture"),
+        variables=(*thinnest.variables, FIELD),
+    )
+    found = optimize(specification)
+    assert found.feasible, found.violations
+    assert found.goal_unit == "mm"
+    assert found.goal_value == pytest.approx(found.lens.object.field_diameter_mm, rel=1e-12)
+    assert found.variables["field_diameter_mm"] == found.lens.object.field_diameter_mm
+    fixed = changed(thinnest, optimize=Settings(start="plate", stop="numerical aperture"))
+    (limit,) = find_limits(fixed, quantities=(FIELD_LIMIT,))
+    assert found.goal_value == pytest.approx(limit.reached, rel=2e-3)
+    assert largest_spread_angle(found.lens, 0.532).spread_deg <= math.degrees(math.asin(0.532 / 6.4))
+
+
+def test_limits_and_messages_of_a_variable_field_count_its_smallest_diameter(thinnest, monkeypatch):
+    beyond = VariableRange(parameter="field_diameter_mm", bounds=(4.5, 6.0))
+    goal = Settings(goal="largest field", start="plate", stop="numerical aperture", starts=1)
+    specification = changed(thinnest, optimize=goal, variables=(*thinnest.variables, beyond))
+    assert specification.required_object.field_diameter_mm == 4.5
+    monkeypatch.setattr(limits_search, "NEARBY_STARTS", 0)
+    monkeypatch.setattr(limits_search, "FEWEST_STARTS", 1)
+    (limit,) = find_limits(specification, quantities=(FIELD_LIMIT,), most=1.0)
+    assert (limit.asked, limit.lens.object.field_diameter_mm < 4.5) == (4.5, True)
+    reachable = VariableRange(parameter="field_diameter_mm", bounds=(3.5, 6.0))
+    alone = changed(specification, variables=(reachable,))
+    with pytest.raises(DesignError, match="only variable"):
+        find_limits(alone)
+    assert not optimize(alone).feasible  # a plate
+
+
+def test_a_variable_field_excludes_fixed_object_points(thinnest):
+    limits = Constraints(field_spread=(FieldSpread(field_mm=0.75, max_spread_deg=3.0),))
+    with pytest.raises(ValueError, match="fixed field heights"):
+        changed(thinnest, constraints=limits, variables=(*thinnest.variables, FIELD))
+    with pytest.raises(ValueError, match="need a fixed field"):
+        changed(
+            thinnest,
+            optimize=Settings(goal="yield"),
+            tolerances=Tolerances(study="study.toml"),
+            variables=(*thinnest.variables, FIELD),
+        )
+    with pytest.raises(ValueError, match=r"needs a .*field_diameter_mm"):
+        changed(thinnest, optimize=Settings(goal="largest field"))
 
 
 def test_two_wavelengths_are_both_kept(thinnest):

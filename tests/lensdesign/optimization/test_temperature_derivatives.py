@@ -65,6 +65,15 @@ def test_gradients_at_temperatures(thinnest: Specification, stop: str) -> None:
     assert_gradients_agree(asked, np.array([0.57, 0.11, 0.7, 0.4, 0.52, 0.6]))
 
 
+def test_gradients_of_a_variable_field_at_temperatures(thinnest: Specification) -> None:
+    field = VariableRange(parameter="field_diameter_mm", bounds=(2.0, 6.0))
+    asked = thinnest.replaced(
+        optimize=Settings(goal="largest field", stop="numerical aperture"),
+        variables=(field, *thinnest.variables),
+    )
+    assert_gradients_agree(asked, np.array([0.4, 0.57, 0.11, 0.7, 0.4]))
+
+
 def test_gradients_of_a_pair_whose_mount_shrinks(pair: Specification) -> None:
     problem = DesignProblem(pair, pair.lens)
     asked = pair.replaced(optimize=Settings(goal="smallest spread angle", stop="numerical aperture"))

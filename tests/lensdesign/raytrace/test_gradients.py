@@ -53,6 +53,7 @@ VARIABLES = (
     Variable("thickness", 0),
     Variable("thickness", 2),
     Variable("working_distance"),
+    Variable("log_field"),
 )
 
 
@@ -63,7 +64,7 @@ def stepped(system, object_z, variable):
         shapes[variable.surface] = shapes[variable.surface].moved(variable.kind, 1j * STEP)
     elif variable.kind == "thickness":
         vertex[0, variable.surface + 1 :, 2] += 1j * STEP
-    else:
+    elif variable.kind == "working_distance":
         object_z = object_z - 1j * STEP
     return replace(system, vertex=vertex, shapes=tuple(shapes)), object_z
 
@@ -72,6 +73,8 @@ def complex_step(lens, system, fields, pupil, variable, semi):
     """Derivatives of the rays through fixed points of a stop on the first surface."""
     moved, object_z = stepped(system, lens.object_z_mm + 0j, variable)
     origins = np.column_stack([fields, np.full(len(fields), 1.0)]).astype(complex)
+    if variable.kind == "log_field":
+        origins[:, :2] *= np.exp(1j * STEP)
     origins[:, 2] = object_z
     xy = semi * pupil
     height = moved.shapes[0].sag(*xy.T)
@@ -147,14 +150,18 @@ def test_rays_keep_their_stop_point_wherever_the_stop_is(lens, stop, semi):
     fields, pupil = np.repeat([[0.0, 0.8]], 8, axis=0), rng.uniform(-0.6, 0.6, (8, 2))
     some = tuple(v for v in VARIABLES if not v.kind.startswith("asphere"))
 
-    def cosines(system, z):
-        return gradient_trace(system, z, PLANES, stop, semi, 0.35, fields, pupil, some).cosines
+    def cosines(system, z, points=fields):
+        return gradient_trace(system, z, PLANES, stop, semi, 0.35, points, pupil, some).cosines
 
     got = gradient_trace(system, lens.object_z_mm, PLANES, stop, semi, 0.35, fields, pupil, some)
     expected_stop = got.stop_semi_diameter_mm * pupil
     np.testing.assert_allclose(got.heights[:, stop], expected_stop, atol=1e-9)
     for j, variable in enumerate(some):
-        reference = differences(cosines, system, lens.object_z_mm, variable)
+        if variable.kind == "log_field":
+            ends = (cosines(system, lens.object_z_mm, np.exp(step) * fields) for step in (1e-6, -1e-6))
+            reference = np.subtract(*ends) / 2e-6
+        else:
+            reference = differences(cosines, system, lens.object_z_mm, variable)
         np.testing.assert_allclose(
             got.cosines_by[..., j], reference, atol=2e-7 * max(1, np.abs(reference).max())
         )
