@@ -22,9 +22,9 @@ demo: $(READY)
 	$(BIN)/lensdesign export designs/paper_singlet.toml $(OUT)/paper_singlet/paper_singlet.stl
 	$(BIN)/lensdesign export $(OUT)/feasible_singlet.toml $(OUT)/feasible_singlet/feasible_singlet.stl
 	$(BIN)/wavesim pupil designs/paper_singlet.toml --decenter-y-mm 0.03 -o $(OUT)/paper_singlet/decentered_30um.png
-	$(BIN)/wavesim resolve-lines designs/paper_singlet.toml --field-mm 0,1.4 --slices 200 --compensation vertical \
+	$(BIN)/wavesim resolve-lines designs/paper_singlet.toml --field-heights-mm 0,1.4 --slices 200 --compensation vertical \
 	  --linewidths-um 1.55,0.775,0.532
-	$(BIN)/wavesim resolve-lines designs/paper_singlet.toml --field-mm 0,1.4 --slices 30 --compensation oblique \
+	$(BIN)/wavesim resolve-lines designs/paper_singlet.toml --field-heights-mm 0,1.4 --slices 30 --compensation oblique \
 	  --linewidths-um 1.55,0.775,0.532
 	$(BIN)/lensdesign scale designs/paper_singlet.toml 0.0625 -o $(OUT)/twin.toml
 	$(BIN)/wavesim image $(OUT)/twin.toml --object usaf --patch-mm 0.19 -o $(OUT)/frames

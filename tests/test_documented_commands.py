@@ -73,7 +73,7 @@ SHORTER = {
     r"slices(=| )(200|800)": r"slices\g<1>20",
     r"slices=(20|30)": "slices=5",
     r"^(wavesim resolve-lines designs/(?!paper).*--linewidths-um [\d.]+)\S+ --slices 30": r"\1 --slices 5",
-    r"(?= -o resolved\.png)": " --linewidths-um 1.55 --field-mm 0",
+    r"(?= -o resolved\.png)": " --linewidths-um 1.55 --field-heights-mm 0",
     # wpm over the whole aperture (20 s): over a small one.
     r"^wavesim resolve-lines \S+ (.*--engine wpm)": r"wavesim resolve-lines designs/small_twin.toml \1",
     r"^(wavesim check-engine .*--solution stigmatic)": r"\1 --semi-diameter-mm 0.5",

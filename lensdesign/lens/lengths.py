@@ -109,7 +109,7 @@ class LensLengths:
             return PlausibleLength(least, most, (4.0 * fine, field), reason)
         if name in ("field_stop_at", "chart_at", "region_at"):
             return _at_most(3.0 * field, f"must lie within {3.0 * field:.3g} mm, three times the field")
-        if name in ("field", "field_points", "field_height"):
+        if name in ("field", "field_points", "field_height", "field_heights"):
             half = 0.5 * field
             reason = f"must be 0, or from {0.002 * half:.2g} to {half:.3g} mm, half of the field"
             return PlausibleLength(0.002 * half, 1.01 * half, (0.02 * half, 1.01 * half), reason)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     "illumination",
     "wavelength_um",
     "error",
-    "field_mm",
+    "field_height_mm",
     "plane_distance_mm",
     "meridional",
     "runs",
@@ -53,8 +53,14 @@ def choose(
         float,
         typer.Option(help="Allowed relative L2 error of the exit field.", rich_help_panel=OptionGroup.ENGINE),
     ] = DEFAULT_ERROR,
-    field_mm: Annotated[
-        float, typer.Option(help="Height of the field point along y.", rich_help_panel=OptionGroup.OBJECT)
+    field_height_mm: Annotated[
+        float,
+        typer.Option(
+            "--field-height-mm",
+            "--field-mm",
+            help="Height of the field point along y.",
+            rich_help_panel=OptionGroup.OBJECT,
+        ),
     ] = 0.0,
     plane_distance_mm: PlaneDistanceMm = 2.0,
     meridional: Annotated[
@@ -100,12 +106,14 @@ def choose(
     lens = load_design(design)
     validate_lengths(lens, settings)
     validate_lengths(
-        lens, {"field_mm": field_mm, "plane_distance_mm": plane_distance_mm}, settings.wavelength_um
+        lens,
+        {"field_height_mm": field_height_mm, "plane_distance_mm": plane_distance_mm},
+        settings.wavelength_um,
     )
     scene = patch_scene(
         lens,
         settings.patch_mm,
-        field_mm,
+        field_height_mm,
         plane_distance_mm=plane_distance_mm,
         wavelength_um=settings.wavelength_um,
         meridional=meridional,
@@ -119,7 +127,7 @@ def choose(
     if as_json:
         print_json({"object": object_} | _choice_summary(choice, runs))
     else:
-        print(f"object {object_}, patch {settings.patch_mm:g} mm, field height {field_mm:g} mm")
+        print(f"object {object_}, patch {settings.patch_mm:g} mm, field height {field_height_mm:g} mm")
         _print_choice(choice, runs)
 
 

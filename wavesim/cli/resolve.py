@@ -41,7 +41,7 @@ WavelengthUm = Annotated[
 
 @most_used(
     "linewidths_um",
-    "field_mm",
+    "field_heights_mm",
     "engine",
     "reference",
     "bars",
@@ -64,9 +64,11 @@ def resolve(
             rich_help_panel=OptionGroup.EVALUATION,
         ),
     ] = None,
-    field_mm: Annotated[
+    field_heights_mm: Annotated[
         str,
         typer.Option(
+            "--field-heights-mm",
+            "--field-mm",
             metavar="NUMBER,...",
             help="Field heights along y, separated by commas.",
             rich_help_panel=OptionGroup.OBJECT,
@@ -117,7 +119,7 @@ def resolve(
 
     validate_picture_request(output)
     lens = load_design(design)
-    heights = numbers(field_mm, "--field-mm")
+    heights = numbers(field_heights_mm, "--field-heights-mm")
     widths = (
         usual_line_widths_um(lens, wavelength_um)
         if linewidths_um is None
@@ -128,7 +130,7 @@ def resolve(
         {
             "wavelength_um": wavelength_um,
             "linewidths_um": widths,
-            "field_mm": heights,
+            "field_heights_mm": heights,
             "plane_distance_mm": plane_distance_mm,
         },
     )

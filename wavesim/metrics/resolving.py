@@ -297,7 +297,7 @@ def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: 
             raise InputError(f"line width = {width!r} µm: must be from 0.01 to 1000")
     if not abs(field_mm) <= lens.half_field_mm:
         raise InputError(
-            f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"
+            f"field height = {field_mm:g} mm: must lie within the half field of {lens.half_field_mm:g} mm"
         )
     widest = 1e-3 * (2 * bars - 1) * max(line_widths_um)
     if widest > lens.object.field_diameter_mm:

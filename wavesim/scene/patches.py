@@ -161,5 +161,5 @@ def _validate_patch(lens: Lens, patch_mm: float, field_mm: float) -> None:
     validate_within_field(lens, patch_mm)
     if not abs(field_mm) <= lens.half_field_mm:
         raise InputError(
-            f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"
+            f"field height = {field_mm:g} mm: must lie within the half field of {lens.half_field_mm:g} mm"
         )

@@ -257,7 +257,7 @@ def twin_file(tmp_path: Path) -> Path:
 
 
 def test_command_prints_contrasts(twin_file: Path) -> None:
-    options = ["--linewidths-um", "1.55,0.775", "--field-mm", "0,0.1", "--plane-distance-mm", "0.25"]
+    options = ["--linewidths-um", "1.55,0.775", "--field-heights-mm", "0,0.1", "--plane-distance-mm", "0.25"]
     engine = ["--engine", "slices", "--slices", "30", "--compensation", "oblique"]
     result = CliRunner().invoke(app, ["resolve-lines", str(twin_file), *options, *engine, "--json"])
     assert result.exit_code == 0, result.output
