@@ -81,6 +81,7 @@ class Workbench:
         self._condition = threading.Condition()
         self._requested = 0
         self._analysed = 0
+        self._settled = 0
         self._ended = False
         self._thread: threading.Thread | None = None
 
@@ -220,6 +221,8 @@ class Workbench:
 
     def settle(self) -> LensAnalysis:
         """Analyse the present state with full accuracy in this thread."""
+        with self._condition:
+            self._settled = self._requested
         request = self._with_quality(AnalysisRequest(self.lens, self.what_if, None, self.patch_fraction))
         for stage, names in STAGES:
             self._publish(stage(request, settled=True), names)
@@ -245,21 +248,21 @@ class Workbench:
                 # Without this, the page would go on to show the figures of an earlier lens.
                 traceback.print_exc(file=sys.stderr)
                 why = f"the analysis failed: {type(error).__name__}: {error}"
-                self._publish(LensAnalysis(self.lens, reasons=dict.fromkeys(RESULTS, why)), RESULTS)
+                self._publish(LensAnalysis(self.lens, reasons=dict.fromkeys(RESULTS, why)), RESULTS, done)
 
     def _analyse(self, number: int) -> None:
         """Analyse the state of a request; if no other follows, with full accuracy at the end."""
         (rays, ray_names), *others = STAGES
         request = AnalysisRequest(self.lens, self.what_if, None, self.patch_fraction)
-        self._publish(rays(request, settled=False), ray_names)
+        self._publish(rays(request, settled=False), ray_names, number)
         request = self._with_quality(request)
         for stage, names in others:
-            self._publish(stage(request, settled=False), names)
-        self._analysed = number
+            self._publish(stage(request, settled=False), names, number)
+        self._analysed = max(self._analysed, number)
         self.notify()
         if self._is_idle(number):
             for stage, names in STAGES:
-                self._publish(stage(request, settled=True), names)
+                self._publish(stage(request, settled=True), names, number)
                 if self._requested != number:
                     return
 
@@ -283,9 +286,12 @@ class Workbench:
             self._quality = (self.grade, built_of, quality, why)
         return replace(request, quality=self._quality[2], no_quality=self._quality[3])
 
-    def _publish(self, result: LensAnalysis, names: tuple[str, ...]) -> None:
-        """Update the analysis with the results of a stage."""
-        self.analysis = self.analysis.updated(result, names)
+    def _publish(self, result: LensAnalysis, names: tuple[str, ...], number: int | None = None) -> None:
+        """Update the analysis with the results of a stage, unless they are of a request before `settle`."""
+        with self._condition:
+            if number is not None and number <= self._settled:
+                return
+            self.analysis = self.analysis.updated(result, names)
         self.notify()
 
     def _keep(self) -> None:

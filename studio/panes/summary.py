@@ -9,13 +9,12 @@ import numpy as np
 import panel as pn
 
 from lensdesign.analysis.report import CheckReport, Constraint
-from lensdesign.common.text import number_with_unit, quantity_text, words_and_unit
+from lensdesign.common.text import quantity_text, relation_symbol, words_and_unit
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.files import remember
 from studio.panes.common import Guarded, bench_of, follow, message_pane, text
 from studio.panes.files import FileChoice
-from tolerancing.merits.base import Merit
 from tolerancing.perturbations.grades import GRADES
 from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
@@ -95,7 +94,7 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
             return
         predicted, waves = found.prediction, found.prediction.wavefronts
         limits = "".join(
-            f"<tr><td>{text(_limit_sentence(one.merit))}"
+            f"<tr><td>{text(words_and_unit(one.merit.column)[0])} {text(one.merit.limit_text)}"
             f"<br><small>{text(one.merit.location)}</small></td>"
             f"<td>{100.0 * one.yield_fraction:.1f} %</td></tr>"
             for one in predicted.limits
@@ -126,11 +125,6 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
     return pane
 
 
-def _limit_sentence(merit: Merit) -> str:
-    words, unit = words_and_unit(merit.label)
-    return f"{words} {merit.limit_text if merit.unit else number_with_unit(merit.limit_text, unit)}"
-
-
 def _contributions(waves: WavefrontPrediction) -> list[tuple[str, float]]:
     """Return the contribution of each perturbation to the mean square in percent, the largest first."""
     squares = np.array([point.rms_waves**2 for point in waves.points])
@@ -150,7 +144,7 @@ def _constraint(one: Constraint) -> str:
     return (
         f'<div class="constraint {kind}" data-name="{text(one.name)}" data-value="{one.value!r}">'
         f'<span>{text(one.name)}</span><span class="state">{state}</span><b>{value}</b>'
-        f"<span>{text(one.relation)} {limit}</span><div class='bar'>{bar}</div></div>"
+        f"<span>{relation_symbol(one.relation)} {limit}</span><div class='bar'>{bar}</div></div>"
     )
 
 

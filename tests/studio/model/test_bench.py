@@ -12,6 +12,8 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import InputError, check_design, load_design
+from studio.model import bench as bench_module
+from studio.model.analysis import AnalysisRequest, LensAnalysis
 from studio.model.bench import Workbench
 from studio.model.document import Autosave
 from studio.model.whatif import WhatIf
@@ -59,6 +61,33 @@ def test_the_newest_state_wins(bench: Workbench) -> None:
     assert made[-1] == pytest.approx(-12.199)
     bench.undo()
     assert bench.lens.surfaces[1].radius_mm == -12.0
+
+
+def test_a_slow_analysis_of_an_earlier_state_does_not_replace_a_settled_one(
+    bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (rays, names), *others = bench_module.STAGES
+    is_started, may_end = threading.Event(), threading.Event()
+
+    def slow(request: AnalysisRequest, settled: bool) -> LensAnalysis:
+        found = rays(request, settled=settled)
+        if threading.current_thread().name == "analysis":
+            is_started.set()
+            assert may_end.wait(120.0)
+        return found
+
+    monkeypatch.setattr(bench_module, "STAGES", ((slow, names), *others))
+    bench.edit("surface.1.semi_diameter_mm", "number", "0.04")
+    assert is_started.wait(120.0)
+    bench.undo()
+    settled = bench.settle()
+    assert not settled.reasons
+    may_end.set()
+    bench.close()
+    for thread in threading.enumerate():
+        if thread.name == "analysis":
+            thread.join(120.0)
+    assert bench.analysis is settled
 
 
 def test_saving_is_asked_for(bench: Workbench) -> None:
