@@ -8,7 +8,7 @@ from typing import Any
 from lensdesign.analysis.form_error import FormError
 from lensdesign.analysis.outline import DrawnEdge
 from lensdesign.common.notebook import html_table
-from lensdesign.common.text import finite_or_none, number_with_unit
+from lensdesign.common.text import finite_or_none, number_with_unit, relation_symbol
 
 
 @dataclass(frozen=True)
@@ -187,9 +187,8 @@ class CheckReport:
         rows = [
             (
                 c.name,
-                number_with_unit(
-                    f"{'' if c.met else 'not met: '}{c.value:.6g} {c.relation} {c.limit:.6g}", c.unit
-                ),
+                ("" if c.met else "not met: ")
+                + number_with_unit(f"{c.value:.6g} {relation_symbol(c.relation)} {c.limit:.6g}", c.unit),
             )
             for c in self.constraints
         ]

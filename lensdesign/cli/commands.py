@@ -21,7 +21,7 @@ from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app, say
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
-from lensdesign.common.text import quantity_text, visible
+from lensdesign.common.text import quantity_text, relation_symbol, visible
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -282,7 +282,7 @@ def _print_check(report: CheckReport) -> None:
         constraints.add_row(
             c.name,
             quantity_text(c.value, c.unit),
-            f"{c.relation} {quantity_text(c.limit, c.unit)}",
+            f"{relation_symbol(c.relation)} {quantity_text(c.limit, c.unit)}",
             _met(c.met),
         )
     figures = table("", "figure", "value")

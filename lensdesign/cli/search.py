@@ -16,7 +16,7 @@ from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.progress import progress_text
-from lensdesign.common.text import number_with_unit, visible
+from lensdesign.common.text import number_with_unit, relation_symbol, visible
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -382,7 +382,7 @@ def _at_temperatures(constraints: Sequence[Constraint]) -> Any:
     values = {one.name: f"{one.value:.5g}" for one in constraints}
     for one in constraints:
         if one.temperature_c is None:
-            limit = number_with_unit(f"{one.relation} {one.limit:.5g}", one.unit)
+            limit = number_with_unit(f"{relation_symbol(one.relation)} {one.limit:.5g}", one.unit)
             shown.add_row(one.name, limit, *(values.get(named_at(one.name, t), "") for t in temperatures))
     return shown
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import atexit
+import codecs
 import errno
 import gc
+import io
 import json
 import math
 import os
@@ -20,7 +22,7 @@ from typer.core import TyperGroup
 from lensdesign.common.input_files import files_from
 from lensdesign.common.interrupts import stop_status, stoppable
 from lensdesign.common.settings_files import SettingsCommand, with_settings_file
-from lensdesign.common.text import visible
+from lensdesign.common.text import ASCII_SPELLINGS, visible
 from lensdesign.errors import InputError, TransferLensError
 
 if TYPE_CHECKING:
@@ -137,6 +139,7 @@ def run_app(app: typer.Typer) -> None:
     """
     # The last garbage collection would take up to 0.2 s at exit and is not needed.
     atexit.register(gc.freeze)
+    _spell_out_missing_characters()
     try:
         with stoppable(), warnings.catch_warnings():
             warnings.showwarning = _short_warnings(warnings.showwarning)
@@ -160,6 +163,25 @@ def run_app(app: typer.Typer) -> None:
             fail(f"cannot write to standard output: {error.strerror}")
         named = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
         fail(f"{named}{error.strerror or error or type(error).__name__}")
+
+
+def _spell_out_missing_characters() -> None:
+    """Let characters that standard output cannot encode, such as ≤ on Windows, be written in ASCII.
+
+    An output that is ASCII alone counts as a wrong setting and gets UTF-8, as Click has it for its messages.
+    """
+
+    def spelled_out(error: UnicodeError) -> tuple[str, int]:
+        if not isinstance(error, UnicodeEncodeError):
+            raise error
+        missing = error.object[error.start : error.end]
+        return "".join(ASCII_SPELLINGS.get(character, "?") for character in missing), error.end
+
+    codecs.register_error("transferlens.spelled_out", spelled_out)
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        is_ascii = codecs.lookup(sys.stdout.encoding).name == "ascii"
+        encoding = "utf-8" if is_ascii else sys.stdout.encoding
+        sys.stdout.reconfigure(encoding=encoding, errors="transferlens.spelled_out")
 
 
 def _short_warnings(default: Callable[..., None]) -> Callable[..., None]:

@@ -11,6 +11,24 @@ T = TypeVar("T")
 UNIT_SYMBOLS = {"um": "µm", "deg": "°", "percent": "%", "c": "°C", "mm3": "mm³"}
 """Units as people write them, by their spelling in names and files."""
 
+ASCII_SPELLINGS = {
+    "µ": "u",
+    "°": " deg",
+    "≤": "<=",
+    "≥": ">=",
+    "²": "2",
+    "³": "3",
+    "±": "+-",
+    "×": "x",
+    "·": "*",
+    "−": "-",
+    "–": "-",
+    "…": "...",
+    "λ": "lambda",
+    "é": "e",
+}
+"""Spellings of characters that an output device may not have."""
+
 OTHER_UNITS = ("mm", "nm", "waves", "fringes")
 """Further units with which names end; people write them in the same way."""
 
@@ -85,6 +103,11 @@ def number_with_unit(number: str, unit: str) -> str:
 def unit_symbol(unit: str) -> str:
     """Return a unit as people write it, such as µm for the ``um`` of names and files."""
     return UNIT_SYMBOLS.get(unit, unit)
+
+
+def relation_symbol(relation: str) -> str:
+    """Return a relation, such as ``<=``, as people write it: ≤."""
+    return {"<=": "≤", ">=": "≥"}.get(relation, relation)
 
 
 def words_and_unit(name: str) -> tuple[str, str]:

@@ -387,7 +387,7 @@ def _print_summary(summary: Summary, predicted: StudyPrediction | None) -> None:
 
 
 def _limit(merit: Merit) -> str:
-    return number_with_unit(f"{'>=' if merit.at_least is not None else '<='} {merit.limit:g}", merit.unit)
+    return number_with_unit(f"{'≥' if merit.at_least is not None else '≤'} {merit.limit:g}", merit.unit)
 
 
 def _number(value: float | None) -> str:

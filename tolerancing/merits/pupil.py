@@ -111,7 +111,13 @@ class Strehl(PupilMerit):
 class RmsWaves(PupilMerit):
     """Root mean square of the reconstruction pupil's phase, in waves."""
 
+    kind_unit: ClassVar[str] = "waves"
     adds_in_squares: ClassVar[bool] = True
+
+    @property
+    def column(self) -> str:
+        """Column name of the scores in tables: the name alone, as tables have always had it."""
+        return self.label
 
     def score(self, pupil: ReconstructionPupil) -> float:
         from wavesim import rms_waves

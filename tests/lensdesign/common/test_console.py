@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import subprocess
 import sys
@@ -140,3 +141,17 @@ def test_lines_begin_in_colour_on_a_terminal_only(
     assert text.endswith(" no light\n")
     assert ("\x1b[31m" in text) is coloured
     assert (text == "error: no light\n") is not coloured
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
+def test_characters_that_the_output_lacks_are_spelled_out(encoding: str) -> None:
+    done = subprocess.run(
+        [LENSDESIGN, "check", DESIGNS / "paper_singlet.toml"],
+        capture_output=True,
+        env=os.environ | {"PYTHONIOENCODING": encoding},
+        timeout=600,
+    )
+    assert done.returncode == 1, done.stderr
+    shown = done.stdout.decode("utf-8" if encoding == "ascii" else encoding)
+    assert f"{'<=' if encoding == 'cp1252' else '≤'} 4.7682°" in shown
+    assert "?" not in shown

@@ -254,7 +254,7 @@ def test_lenses_as_built_are_asked_for_at_temperatures(wavefront_study: Path) ->
     shown = CliRunner().invoke(app, command)
     assert "max_evaluations = 2 ended the search" in shown.output
     assert re.search(r"constraint +┃ +limit ┃ 20 C +┃ 50 C", shown.output)
-    assert re.search(r"│ yield +│ +>= 0\.6 │ [01](\.\d+)? +│ [01](\.\d+)? ", shown.output)
+    assert re.search(r"│ yield +│ +≥ 0\.6 │ [01](\.\d+)? +│ [01](\.\d+)? ", shown.output)
 
 
 def test_a_study_that_perturbs_the_temperature_is_none_of_a_lens_at_one(

@@ -78,7 +78,7 @@ def test_yield_is_printed_jointly_and_by_its_parts(specified) -> None:
     shown = CliRunner().invoke(app, ["optimize", str(folder / "spec.toml"), "-o", str(output)])
     assert "Yield of 100 trials each (seed 2)" in shown.output
     assert "a good lens keeps all limits of the study:" in shown.output
-    assert "rms_waves at most 0.04: at (0, 0), (0, 0.7), (0, 0.95) mm in the object" in shown.output
+    assert "rms_waves at most 0.04 waves: at (0, 0), (0, 0.7), (0, 0.95) mm in the object" in shown.output
     assert "largest_spread_deg at most 7.68°: over the whole field" in shown.output
     assert "scored by trials only: contrast" in shown.output
 
