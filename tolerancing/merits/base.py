@@ -53,7 +53,7 @@ class Merit(FrozenModel):
     >>> from tolerancing.merits import RmsWaves
     >>> merit = RmsWaves(kind="rms_waves", at_most=0.07)
     >>> merit.limit_text, merit.passed([0.05, 0.1]).tolist()
-    ('at most 0.07', [True, False])
+    ('at most 0.07 waves', [True, False])
     """
 
     kind: str
