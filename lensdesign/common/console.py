@@ -20,10 +20,10 @@ import typer
 from typer.core import TyperGroup
 
 from lensdesign.common.input_files import files_from
-from lensdesign.common.interrupts import stop_status, stoppable
+from lensdesign.common.interrupts import TOLD_ERRORS, stop_status, stoppable
 from lensdesign.common.settings_files import SettingsCommand, with_settings_file
 from lensdesign.common.text import ASCII_SPELLINGS, visible
-from lensdesign.errors import InputError, TransferLensError
+from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
@@ -148,21 +148,27 @@ def run_app(app: typer.Typer) -> None:
             finally:
                 if sys.stdout is not None:
                     sys.stdout.flush()
-    except TransferLensError as error:
-        fail(str(error))
-    except OverflowError as error:
-        fail(f"a number of the input is too large or too small to compute with: {error.args[-1]}")
-    except MemoryError as error:
-        fail(f"not enough memory: {error or 'no memory is free'}; reduce the amount of data")
-    except OSError as error:
-        if error.errno == errno.EPIPE:
+    except TOLD_ERRORS as error:
+        fail(_message_of(error))
+
+
+def _message_of(error: Exception) -> str:
+    """Return the message of one of `TOLD_ERRORS`; a closed pipe ends the command silently."""
+    match error:
+        case OverflowError():
+            return f"a number of the input is too large or too small to compute with: {error.args[-1]}"
+        case MemoryError():
+            return f"not enough memory: {error or 'no memory is free'}; reduce the amount of data"
+        case OSError(errno=errno.EPIPE):
             _drop_output()
             raise SystemExit(1) from None
-        if error.filename is None and error.errno in (errno.ENOSPC, errno.EIO, errno.EBADF, errno.EFBIG):
+        case OSError(filename=None, errno=errno.ENOSPC | errno.EIO | errno.EBADF | errno.EFBIG):
             _drop_output()
-            fail(f"cannot write to standard output: {error.strerror}")
-        named = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
-        fail(f"{named}{error.strerror or error or type(error).__name__}")
+            return f"cannot write to standard output: {error.strerror}"
+        case OSError():
+            named = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+            return f"{named}{error.strerror or error or type(error).__name__}"
+    return str(error)
 
 
 def _spell_out_missing_characters() -> None:

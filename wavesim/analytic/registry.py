@@ -75,7 +75,7 @@ def analytic_case(name: str, **arguments: Any) -> AnalyticCase:
     """
     if name not in ANALYTIC_CASES:
         raise InputError(
-            f"oracle = {name!r}: there is no such oracle; allowed: {', '.join(ANALYTIC_CASES)}"
+            f"solution = {name!r}: there is no such solution; allowed: {', '.join(ANALYTIC_CASES)}"
             f"{did_you_mean(name, ANALYTIC_CASES)}"
         )
     make = _maker(name)
@@ -83,7 +83,7 @@ def analytic_case(name: str, **arguments: Any) -> AnalyticCase:
     for argument in arguments:
         if argument not in allowed:
             raise InputError(
-                f"oracle {name}: {argument} = {arguments[argument]!r}: there is no such argument; "
+                f"solution {name}: {argument} = {arguments[argument]!r}: there is no such argument; "
                 f"allowed: {', '.join(allowed)}{did_you_mean(argument, allowed)}"
             )
     return _cached_case(name, tuple(sorted(arguments.items())))

@@ -15,11 +15,11 @@ from lensdesign.common.text import decimals_text, quantity_sentence, visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.calibrate import calibrate
+from wavesim.cli.check_engine import check_engine
 from wavesim.cli.choose import choose
 from wavesim.cli.compare import compare
 from wavesim.cli.image import image
 from wavesim.cli.options import numbers, validate_picture_request, with_settings
-from wavesim.cli.oracle import oracle
 from wavesim.cli.plan import plan
 from wavesim.cli.reconstruct import reconstruct
 from wavesim.cli.resolve import LinewidthsUm, resolve
@@ -58,7 +58,7 @@ for command in (plan, image, reconstruct, calibrate, view):
 app.command("choose-engine")(with_settings(choose))
 app.command("compare-engines")(with_settings(compare))
 app.command("resolve-lines")(with_settings(resolve))
-app.command("check-engine")(with_settings(oracle))
+app.command("check-engine")(with_settings(check_engine))
 
 
 @app.command()

@@ -31,7 +31,7 @@ class AnalyticResult:
 
     Attributes
     ----------
-    engine, oracle : str
+    engine, solution : str
         Names of the engine and of the exact solution.
     radius_mm : float or None
         Radius of the first surface in mm; None for a plane.
@@ -54,7 +54,7 @@ class AnalyticResult:
     """
 
     engine: str
-    oracle: str
+    solution: str
     radius_mm: float | None
     relative_error: float
     uncertainty: float
@@ -69,9 +69,9 @@ class AnalyticResult:
 
 def run_analytic_case(
     engine: str,
-    oracle: str = "cylinder",
+    solution: str = "cylinder",
     radius_mm: float | None = None,
-    oracle_arguments: Mapping[str, Any] | None = None,
+    solution_arguments: Mapping[str, Any] | None = None,
     **settings: Any,
 ) -> AnalyticResult:
     """Compare an engine with an exact solution.
@@ -80,11 +80,11 @@ def run_analytic_case(
     ----------
     engine
         One of :data:`wavesim.engines.registry.ENGINES`.
-    oracle
+    solution
         One of :data:`wavesim.analytic.registry.ANALYTIC_CASES`.
     radius_mm
         Radius of the cylinder or the sphere in mm. Default: the exact solution's own.
-    oracle_arguments
+    solution_arguments
         Further arguments of the exact solution.
     **settings
         Settings of the engine.
@@ -99,14 +99,14 @@ def run_analytic_case(
     InputError, SamplingError
         If a name or a value is invalid, or the engine refuses the scene.
     """
-    arguments = dict(oracle_arguments or {})
+    arguments = dict(solution_arguments or {})
     if radius_mm is not None:
         arguments["radius_mm"] = radius_mm
-    return compare_with_exact(analytic_case(oracle, **arguments), engine, settings, oracle)
+    return compare_with_exact(analytic_case(solution, **arguments), engine, settings, solution)
 
 
 def compare_with_exact(
-    case: AnalyticCase, engine: str, settings: Mapping[str, Any], oracle: str = ""
+    case: AnalyticCase, engine: str, settings: Mapping[str, Any], solution: str = ""
 ) -> AnalyticResult:
     """Compare an engine with the exact solution of a scene.
 
@@ -116,7 +116,7 @@ def compare_with_exact(
         The scene, its object field and its exact exit field.
     engine, settings
         As in :func:`wavesim.engines.choosing.engine_for`.
-    oracle
+    solution
         Name of the exact solution, for the result.
 
     Raises
@@ -135,7 +135,7 @@ def compare_with_exact(
         peak = traced[0] if slow else peak_bytes(engine, case, settings)
     return AnalyticResult(
         engine=engine,
-        oracle=oracle,
+        solution=solution,
         radius_mm=case.scene.lens.surfaces[0].radius_mm,
         relative_error=relative_error(field.values, case.exact.values),
         uncertainty=case.uncertainty,

@@ -9,7 +9,7 @@ import numpy as np
 
 from lensdesign.plots.style import BLUE, ORANGE, in_style, styled_figure
 from wavesim.fields.field import Orientation
-from wavesim.plots.panels import title_figure
+from wavesim.plots.panels import colour_bar, title_figure
 from wavesim.pupil.line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
@@ -65,7 +65,7 @@ def _draw_wavefront(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> No
     (x, y), half = pupil.grid.centre, pupil.grid.half_width
     extent = (x - half, x + half, y - half, y + half)
     picture = axes.imshow(waves, origin="lower", extent=extent, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    _colour_bar(figure, picture, axes, "optical path difference (waves)")
+    colour_bar(figure, picture, axes, "optical path difference (waves)")
     axes.set_title(f"Wavefront: {rms_waves(pupil):.4f} waves rms")
     axes.set(xlabel="direction cosine L at the object", ylabel="direction cosine M at the object")
     shown = 1.04 * half  # the pupil's rim does not touch the frame
@@ -81,7 +81,7 @@ def _draw_psf(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> None:
     picture = axes.pcolormesh(
         coordinates, coordinates, decades, cmap="inferno", vmin=-psf_decades, vmax=0.0, rasterized=True
     )
-    _colour_bar(figure, picture, axes, "log10 of the intensity (0: peak of a perfect lens)")
+    colour_bar(figure, picture, axes, "log10 of the intensity (0: peak of a perfect lens)")
     axes.set_title(f"PSF: Strehl ratio {strehl(pupil):.4f}")
     axes.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
 
@@ -106,7 +106,7 @@ def _draw_line_pairs(figure: Figure, axes: Any, pupil: ReconstructionPupil, widt
     picture = axes.pcolormesh(
         coordinates, coordinates, intensity, cmap="gray", vmin=0.0, vmax=intensity.max(), rasterized=True
     )
-    _colour_bar(figure, picture, axes, "intensity (1: large bright area)")
+    colour_bar(figure, picture, axes, "intensity (1: large bright area)")
     axes.set_title(f"Lines of {width_um:g} µm across x")
     axes.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
 
@@ -125,7 +125,3 @@ def _draw_profiles(axes: Any, pupil: ReconstructionPupil, width_um: float) -> No
     axes.set(xlabel="distance from the centre of the imaged lines (µm)", ylabel="intensity")
     axes.set(xlim=(-6.0 * width_um, 6.0 * width_um), ylim=(0.0, 1.35 * axes.get_ylim()[1]))
     axes.legend(loc="upper center")
-
-
-def _colour_bar(figure: Figure, picture: Any, axes: Any, label: str) -> None:
-    figure.colorbar(picture, ax=axes, fraction=0.05, pad=0.03, label=label)

@@ -1,4 +1,4 @@
-"""The ray kernel against golden rays, its NumPy oracle, and closed forms of geometrical optics."""
+"""The ray kernel against golden rays, its NumPy reference, and closed forms of geometrical optics."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_golden_cases_cover_a_decenter_and_a_tilt() -> None:
     assert any("tilt_x_deg" in c for c in cases)
 
 
-# The NumPy oracle.
+# The NumPy reference.
 
 
 def one_trial(system: CompiledSystem, trial: int) -> CompiledSystem:

@@ -1,4 +1,4 @@
-"""Choosing an oracle, and measuring an engine on it, with engines of known error, time and memory."""
+"""Choosing a solution, and measuring an engine on it, with engines of known error, time and memory."""
 
 import time
 import warnings
@@ -84,7 +84,7 @@ def test_error_is_not_fitted_and_all_that_was_measured_is_told(
     assert result.settings == {"factor": 0.9, "pause_seconds": 0.03}
     assert type(result.settings["factor"]) is float
     assert result.warnings == ("too coarse",)
-    assert (result.engine, result.oracle, result.radius_mm) == ("scaled", "beam", None)
+    assert (result.engine, result.solution, result.radius_mm) == ("scaled", "beam", None)
 
 
 def test_a_phase_counts_as_an_error(scaled: str) -> None:
@@ -92,7 +92,7 @@ def test_a_phase_counts_as_an_error(scaled: str) -> None:
 
 
 @pytest.mark.parametrize("name", ANALYTIC_CASES)
-def test_every_oracle_has_a_field_on_both_grids_of_its_scene(name: str) -> None:
+def test_every_solution_has_a_field_on_both_grids_of_its_scene(name: str) -> None:
     case = analytic_case(name)
     assert case.object_field.grid == case.scene.object_grid
     assert case.exact.grid == case.scene.exit_grid
@@ -116,9 +116,9 @@ def test_free_space_without_a_lens_is_exact() -> None:
     assert run_analytic_case("no-lens", "beam").relative_error < 1e-9
 
 
-def test_radius_is_that_of_the_oracle() -> None:
+def test_radius_is_that_of_the_solution() -> None:
     result = run_analytic_case("no-lens", radius_mm=0.05)
-    assert result.oracle == "cylinder"
+    assert result.solution == "cylinder"
     assert result.radius_mm == 0.05
     assert result.relative_error > 0.5
     exact = analytic_case("cylinder", radius_mm=0.05).exact.values
@@ -129,12 +129,12 @@ def test_radius_is_that_of_the_oracle() -> None:
     ("call", "message"),
     [
         (lambda: run_analytic_case("no-lense", "beam"), "engine = 'no-lense': .*did you mean no-lens"),
-        (lambda: run_analytic_case("no-lens", "cylindre"), "oracle = 'cylindre': .*did you mean cylinder"),
-        (lambda: run_analytic_case("no-lens", "beam", 0.1), r"oracle beam: radius_mm = 0.1"),
+        (lambda: run_analytic_case("no-lens", "cylindre"), "solution = 'cylindre': .*did you mean cylinder"),
+        (lambda: run_analytic_case("no-lens", "beam", 0.1), r"solution beam: radius_mm = 0.1"),
         (lambda: run_analytic_case("no-lens", "beam", slices=3), "engine no-lens: slices = 3"),
         (lambda: run_analytic_case("no-lens", radius_mm=-1.0), "radius_mm = -1.0"),
         (
-            lambda: run_analytic_case("no-lens", "plane", oracle_arguments={"incidence_deg": 89.0}),
+            lambda: run_analytic_case("no-lens", "plane", solution_arguments={"incidence_deg": 89.0}),
             "incidence_deg = 89",
         ),
     ],

@@ -16,9 +16,9 @@ from wavesim.scene.patches import patch_scene
 DESIGN = load_design("designs/paper_singlet.toml")
 
 
-@pytest.mark.parametrize("oracle", ["slit", "hole"])
-def test_a_point_behind_a_stop_in_free_space(oracle: str) -> None:
-    case = analytic_case(oracle, semi_diameter_mm=0.025)
+@pytest.mark.parametrize("solution", ["slit", "hole"])
+def test_a_point_behind_a_stop_in_free_space(solution: str) -> None:
+    case = analytic_case(solution, semi_diameter_mm=0.025)
     exact, axis = case.exact.values, case.scene.exit_grid.y_mm
     rows = slice(len(axis) // 2, None)
     middle = exact[rows] if exact.ndim == 1 else exact[rows, len(axis) // 2]

@@ -211,7 +211,7 @@ def test_the_index_behind_the_lens_counts() -> None:
 def test_meridional_path_difference(pose: Pose, rms: float) -> None:
     """Along the plane of the perturbation, shift and piston removed, evenly in the sine up to 0.5.
 
-    The oracle finds no rays: it interpolates the path of a fan of rays over where they land.
+    The reference finds no rays: it interpolates the path of a fan of rays over where they land.
     """
     wide = PAPER.with_surface(0, semi_diameter_mm=8.7).with_surface(1, semi_diameter_mm=11.0)
     sampler = PupilSampler(wide, samples=601)

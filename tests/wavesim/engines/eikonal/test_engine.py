@@ -123,9 +123,9 @@ def test_point_that_fills_the_stop(
     assert error < engine.predicted_error() < 3.0 * error
 
 
-@pytest.mark.parametrize("oracle", ["stigmatic", "plate", "plane"])
-def test_other_exact_fields(oracle: str) -> None:
-    case = analytic_case(oracle)
+@pytest.mark.parametrize("solution", ["stigmatic", "plate", "plane"])
+def test_other_exact_fields(solution: str) -> None:
+    case = analytic_case(solution)
     assert relative_error(FlatTiles(case.scene).forward(case.object_field).values, case.exact.values) < 5e-3
 
 

@@ -15,7 +15,7 @@ def test_json_holds_error_cost_and_settings(wavesim: Command) -> None:
     )
     assert code == 0
     data = json.loads(out)
-    assert (data["engine"], data["oracle"], data["radius_mm"]) == ("thin-lens", "cylinder", 0.05)
+    assert (data["engine"], data["solution"], data["radius_mm"]) == ("thin-lens", "cylinder", 0.05)
     assert data["settings"]["pitch_mm"] == pytest.approx(2e-4)
     assert 0.01 < data["relative_error"] < 1.0
     assert data["seconds"] > 0.0
@@ -35,7 +35,7 @@ def test_table_for_people(wavesim: Command) -> None:
     ("arguments", "message"),
     [
         (("--engine", "wmp"), "engine = 'wmp': there is no such engine"),
-        (("--engine", "no-lens", "--solution", "cube"), "oracle = 'cube': there is no such oracle"),
+        (("--engine", "no-lens", "--solution", "cube"), "solution = 'cube': there is no such solution"),
         (("--engine", "no-lens", "--slices", "3"), "engine no-lens: slices = 3: there is no such setting"),
         (("--engine", "no-lens", "--radius-mm", "nan"), "radius_mm = nan"),
         (

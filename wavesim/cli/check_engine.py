@@ -18,7 +18,7 @@ from wavesim.scene.settings import SingleEngineDetails
 
 @most_used(
     "engine",
-    "oracle",
+    "solution",
     "radius_mm",
     "semi_diameter_mm",
     "incidence_deg",
@@ -30,7 +30,7 @@ from wavesim.scene.settings import SingleEngineDetails
     "pitch_um",
     "as_json",
 )
-def oracle(
+def check_engine(
     engine: Annotated[
         str,
         typer.Option(
@@ -40,7 +40,7 @@ def oracle(
         ),
     ],
     details: SingleEngineDetails,
-    oracle: Annotated[
+    solution: Annotated[
         str,
         typer.Option(
             "--solution",
@@ -76,12 +76,12 @@ def oracle(
     """
     from wavesim.metrics.accuracy import run_analytic_case
 
-    of_oracle = {"semi_diameter_mm": semi_diameter_mm, "incidence_deg": incidence_deg}
+    of_solution = {"semi_diameter_mm": semi_diameter_mm, "incidence_deg": incidence_deg}
     result = run_analytic_case(
         engine,
-        oracle,
+        solution,
         radius_mm,
-        {name: value for name, value in of_oracle.items() if value is not None},
+        {name: value for name, value in of_solution.items() if value is not None},
         **details.details(),
     )
     print_warnings(result.warnings)
@@ -94,7 +94,7 @@ def oracle(
 def _summary(result: Any) -> dict[str, Any]:
     return {
         "engine": result.engine,
-        "oracle": result.oracle,
+        "solution": result.solution,
         "radius_mm": result.radius_mm,
         "relative_error": result.relative_error,
         "uncertainty": result.uncertainty,
@@ -113,7 +113,7 @@ def _summary(result: Any) -> dict[str, Any]:
 
 def _print_table(result: Any) -> None:
     of_radius = "" if result.radius_mm is None else f", radius {result.radius_mm:g} mm"
-    print(f"{result.engine} on the exact {result.oracle}{of_radius}")
+    print(f"{result.engine} on the exact {result.solution}{of_radius}")
     print(f"relative error {result.relative_error:.3g} (error of the exact field: {result.uncertainty:.1g})")
     print()
     predicted = result.predicted
