@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any, get_args
 
 import pytest
+import typer
 from typer.main import get_command
 
 from lensdesign.common.help_pages import MOST_OPTIONS
@@ -113,6 +114,26 @@ def test_the_short_help_has_what_most_people_need(command: str, names: str, help
         for name in names_of(row)
     }
     assert {f"--{name}" for name in names.split()} <= shown
+
+
+MAIN_COMMANDS = {
+    "lensdesign": ("check", "compare", "drawing", "export", "import", "limits", "optimize", "scale"),
+    "wavesim": ("calibrate", "choose-engine", "image", "pupil", "reconstruct"),
+    "tolerancing": ("predict", "run", "show", "start"),
+}
+
+
+@pytest.mark.parametrize("command", [f"{package} {n}" for package, own in MAIN_COMMANDS.items() for n in own])
+def test_the_example_of_a_command_is_one_that_it_accepts(command: str) -> None:
+    found = command_of(command)
+    (example,) = re.findall(r"^ *Example: (.*)$", found.callback.__doc__, re.MULTILINE)
+    package, name, *arguments = example.split()
+    assert f"{package} {name}" == command
+    context = typer.Context(found, info_name=name, help_option_names=["-h", "--help"])
+    values, extra, _ = found.make_parser(context).parse_args(arguments)
+    assert not extra
+    required = {p.name for p in found.params if p.required}
+    assert required <= {key for key, value in values.items() if value not in (None, ())}
 
 
 @every_command
@@ -223,7 +244,6 @@ def test_a_field_states_its_group_or_has_that_of_the_first_class_that_defines_it
 )
 def test_former_names_of_commands_work_and_are_not_listed(former: str, present: str, help_of: Any) -> None:
     package, name = former.split()
-    assert help_of(former, "-h").replace(former, f"{package} {present}") == help_of(
-        f"{package} {present}", "-h"
-    )
+    shown = help_of(former, "-h").replace(f"{former} ", f"{package} {present} ")
+    assert shown == help_of(f"{package} {present}", "-h")
     assert name not in APPS[package].commands

@@ -87,8 +87,11 @@ def check(
 
     The check covers the match of the object's and the sensor's space-bandwidth products (Eq. 1 of the paper),
     the largest angle of the rays behind the lens that the pixels can still sample (spread, Eq. 2), the
-    footprint on the sensor, the numerical aperture, throughput and the edge thickness. A specification is
-    checked instead with --against: its constraints, with its field, aperture, wavelengths and sensor.
+    footprint on the sensor, the numerical aperture, throughput and the edge thickness. A
+    specification (--against) replaces these constraints with its own, for its field, aperture, wavelengths
+    and sensor.
+
+    Example: lensdesign check lens.toml
 
     Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.
     """
@@ -154,14 +157,16 @@ app.command("testplates")(cli_testplates.fit)
 def scale(
     design: Design,
     factor: Annotated[
-        float, typer.Argument(metavar="FACTOR", help="Factor by which all lengths are multiplied.")
+        float,
+        typer.Argument(metavar="FACTOR", help="Factor by which all lengths are multiplied, such as 0.125."),
     ],
     output: Annotated[Path, output_option("Design file to write.", "TWIN")],
     study: Annotated[
         Path | None,
         typer.Option(
             metavar="STUDY",
-            help="Tolerance study whose tolerances are scaled, too: TWIN_tolerances.toml is written.",
+            help="Tolerance study whose tolerances are scaled, too; written beside small.toml as "
+            "small_tolerances.toml.",
             rich_help_panel=OptionGroup.TOLERANCES,
         ),
     ] = None,
@@ -171,6 +176,8 @@ def scale(
 
     Numerical aperture, spread angle, glass and pixel pitch do not change. For a small twin, wave optics of
     the whole field takes seconds. Of the tolerances of a study, lengths scale and angles do not.
+
+    Example: lensdesign scale lens.toml 0.125 --study study.toml -o small.toml
     """
     from lensdesign.files.design import load_design, save_design
     from lensdesign.lens.scaling import scaled

@@ -53,11 +53,13 @@ def compare(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Compare designs side by side: lengths, volume, space-bandwidth product, spread, constraints, yield.
+    """Compare designs side by side: lengths, volume, space-bandwidth product, spread and constraints.
 
-    The constraints are those of `lensdesign check`, each marked if it is not met. The yield is that of
-    `tolerancing predict`, without trials. The cost is that of `tolerancing cost`: each tolerance and each
-    element, relative to usual ones.
+    The constraints are those of `lensdesign check`, each marked if it is not met. With --tolerances, the
+    yield is that of `tolerancing predict`, without trials; a grade has the limits of `tolerancing start`. The
+    cost is that of `tolerancing cost`: each tolerance and each element, relative to usual ones.
+
+    Example: lensdesign compare a.toml b.toml c.toml --tolerances precision
 
     Exit status: 0, also if a lens does not meet its constraints; 2 for bad input.
     """

@@ -61,6 +61,8 @@ def export(
 
     Surfaces have their nominal shape. Meshes support --measured; otherwise a note names surfaces whose
     measured figure is omitted.
+
+    Example: lensdesign export lens.toml lens.stl
     """
     from lensdesign.files.design import load_design
 
@@ -164,6 +166,8 @@ def drawing(
     are derived from it, or are general tolerances if these cost no yield; the sheet marks both. The predicted
     yield with all tolerances of the sheet is printed together with that of the study. A sheet that loses more
     than 2 percentage points is rejected.
+
+    Example: lensdesign drawing lens.toml --tolerances study.toml -o lens.pdf
     """
     from lensdesign.common.toml_files import read_toml, validate
     from lensdesign.files.design import load_design
@@ -350,6 +354,8 @@ def import_file(
     Most files state no sensor, and some no object: options add what the file lacks, and a message names what
     is still missing. Contents that a design cannot represent are listed, and the import fails unless --lossy
     is given.
+
+    Example: lensdesign import lens.zmx -o lens.toml --pixel-pitch-um 3.2
     """
     from lensdesign.files.design import save_design, validate_lengths
     from lensdesign.files.draft import LossyImportError, Supplement

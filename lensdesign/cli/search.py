@@ -29,7 +29,12 @@ if TYPE_CHECKING:
 
 
 def optimize(
-    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    specification: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
+        ),
+    ],
     output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
     as_json: Json = False,
     seed: Annotated[
@@ -79,6 +84,8 @@ def optimize(
 
     An interrupt (Ctrl-C, SIGTERM) or a time limit ends the search: the best lens so far is written.
 
+    Example: lensdesign optimize spec.toml -o best.toml
+
     Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit ended the search (the lens is
     written nevertheless), 2 for bad input, 130 or 143 after an interrupt.
     """
@@ -124,7 +131,12 @@ def optimize(
 
 
 def explore(
-    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    specification: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
+        ),
+    ],
     over: Annotated[
         str,
         typer.Option(
@@ -174,8 +186,8 @@ def explore(
 
     An interrupt or a time limit leaves the table of the lenses found so far; the same command continues.
 
-    Exit status: 0, 1 if no lens meets the specification or the time limit ended the exploration, 2 for bad
-    input, 130 or 143 after an interrupt.
+    Exit status: 0 if lenses were found, 1 if none meets the specification or the time limit ended the
+    exploration, 2 for bad input, 130 or 143 after an interrupt.
     """
     from lensdesign.common.console import messages_only
     from lensdesign.common.deadlines import DeadlineExceeded, deadline, now
@@ -220,7 +232,12 @@ def explore(
 
 
 def limits(
-    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    specification: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
+        ),
+    ],
     seed: Annotated[
         int,
         typer.Option(
@@ -249,7 +266,9 @@ def limits(
     by independent starts just above it, which is no proof. After an interrupt or a time limit, the limits
     found so far are printed.
 
-    Exit status: 0, 1 if the specification itself cannot be met or the time limit ended the search, 2 for bad
+    Example: lensdesign limits spec.toml -o limits
+
+    Exit status: 0 if the specification can be met, 1 if not or if the time limit ended the search, 2 for bad
     input, 130 or 143 after an interrupt.
     """
     from lensdesign.common.deadlines import deadline, now

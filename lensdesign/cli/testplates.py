@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 
 
 def fit(
-    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    specification: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
+        ),
+    ],
     plates: Annotated[
         Path,
         typer.Option(

@@ -60,7 +60,9 @@ app.command()(cli_tolerances.start)
 
 @app.command()
 def run(
-    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
+    ],
     store: Annotated[
         Path, typer.Option(help="Store to create, or to continue.", rich_help_panel=OptionGroup.OUTPUT)
     ],
@@ -94,6 +96,8 @@ def run(
     """Run a study's trials, sweeps and sensitivities into a store.
 
     The same command continues an interrupted run.
+
+    Example: tolerancing run study.toml --trials 1000 --store trials.db
     """
     if fresh or not os.path.exists(store):
         check_output_file(store)
@@ -179,7 +183,7 @@ def show(
         typer.Option(
             "--high-fidelity",
             "--dear",
-            help="With --trial: also score it by the high-fidelity merits (formerly --dear).",
+            help="With --trial: also score it by the high-fidelity merits.",
             rich_help_panel=OptionGroup.EVALUATION,
         ),
     ] = False,
@@ -190,6 +194,8 @@ def show(
 
     A trial is scored again from the files of its study in the store. Python code among them is executed only
     with --trust, or if your own copy of the file lies beside the store.
+
+    Example: tolerancing show trials.db
     """
     from tolerancing.statistics.summary import summarize
     from tolerancing.store.store import open_store

@@ -33,7 +33,9 @@ def predict(
     second order in the perturbations, without shift and focus. Rays are predicted to first order; 64 traced
     draws show whether that suffices.
 
-    Exit status: 0, 1 if these orders do not suffice and trials should be run, 2 for bad input.
+    Example: tolerancing predict study.toml
+
+    Exit status: 0 if these orders suffice, 1 if not and trials should be run, 2 for bad input.
     """
     from tolerancing.prediction.study_prediction import predict_study
     from tolerancing.study.files import load_study

@@ -50,7 +50,9 @@ def rare(
 
 
 def indices(
-    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
+    ],
     base: Annotated[
         int,
         typer.Option(

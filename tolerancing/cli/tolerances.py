@@ -74,7 +74,10 @@ def start(
         bool, typer.Option("--force", help="Replace an existing file.", rich_help_panel=OptionGroup.OUTPUT)
     ] = False,
 ) -> None:
-    """Write a study with the usual tolerances of a grade, as a starting point to edit."""
+    """Write a study with the usual tolerances of a grade, as a starting point to edit.
+
+    Example: tolerancing start lens.toml -o study.toml
+    """
     from tolerancing.study.files import start_study
 
     if output.exists() and not force:
@@ -119,7 +122,9 @@ def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False
 
 
 def inverse(
-    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
+    ],
     merit: MeritName = None,
     change: Annotated[
         float | None,
@@ -249,7 +254,9 @@ def budget(
 
 
 def cost(
-    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
+    ],
     costs: Costs = None,
     process: Processes = None,
     as_json: Json = False,

@@ -67,6 +67,8 @@ def calibrate(
     reads (`wavesim reconstruct --calibration FILE`).
     The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
     within their noise, and 1 if they are not. After an interrupt, repeat the command to continue.
+
+    Example: wavesim calibrate frames/*.tif --design lens.toml -o bench
     """
     from wavesim.calibration.frame_calibration import calibrate_frames
     from wavesim.cli.result_files import remove_unfinished

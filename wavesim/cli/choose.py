@@ -51,7 +51,7 @@ def choose(
     ] = "usaf",
     error: Annotated[
         float,
-        typer.Option(help="Allowed relative L2 error of the exit field.", rich_help_panel=OptionGroup.ENGINE),
+        typer.Option(help="Allowed relative error of the exit field.", rich_help_panel=OptionGroup.ENGINE),
     ] = DEFAULT_ERROR,
     field_height_mm: Annotated[
         float,
@@ -90,7 +90,7 @@ def choose(
     ] = 1.0,
     as_json: Json = False,
 ) -> None:
-    """Predict error, time and memory of every engine, and name the cheapest that meets the error limit.
+    """Predict error, time and memory of every engine, and name the fastest within the limits.
 
     The predicted errors are for the light of the given object. The edge of the aperture, where ray-based
     engines are least accurate, receives from a chart only a twentieth of the light that it receives from
@@ -99,6 +99,8 @@ def choose(
     The engines are: eikonal, whose rays carry the phase and whose Fourier transforms carry the object;
     slices, thin slices of the lens; wpm, plane waves in zones of one refractive index; thin-lens, one plane
     that bends the light; no-lens, free space.
+
+    Example: wavesim choose-engine lens.toml --error 0.01
     """
     from wavesim.engines.choosing import choose as choose_engine
     from wavesim.scene.patches import patch_scene

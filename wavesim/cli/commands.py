@@ -113,6 +113,8 @@ def pupil(
     The reconstruction assumes the nominal lens. The difference between the displaced and the nominal lens is
     the phase of the reconstruction pupil, from which contrast and MTF are computed. Lines are resolved down
     to the finest ones with a contrast of 0.2 or more.
+
+    Example: wavesim pupil lens.toml --decenter-y-mm 0.03 -o pupil.png
     """
     from wavesim.plots.frames import save
     from wavesim.plots.pupils import pupil_figure

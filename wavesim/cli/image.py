@@ -79,6 +79,8 @@ def image(
 
     A run on a whole field (--hierarchical) stores its finished parts. After an interrupt, repeat the
     command to continue.
+
+    Example: wavesim image lens.toml --object usaf --patch-mm 0.1 -o frames
     """
     from wavesim.cli.result_files import remove_unfinished
 

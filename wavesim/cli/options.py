@@ -25,7 +25,12 @@ DesignOption = Annotated[
     typer.Option("--design", metavar="DESIGN", help="Design file (TOML).", rich_help_panel=OptionGroup.INPUT),
 ]
 Frames = Annotated[
-    list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one or more for each plane.")
+    list[Path],
+    typer.Argument(
+        metavar="FRAMES...",
+        help="Frames (TIFF), one or more for each plane. Those of other programs than `wavesim image` need "
+        "options of the groups Frames and Camera (--help-all).",
+    ),
 ]
 Empty = Annotated[
     list[Path] | None,

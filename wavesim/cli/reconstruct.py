@@ -95,6 +95,8 @@ def reconstruct(
     The exit status is 0 if the frames are explained within their noise, and 1 if they are not. In the second
     case the most likely causes are tested and named. After an interrupt, repeat the command to continue from
     the last checkpoint.
+
+    Example: wavesim reconstruct frames/*.tif --design lens.toml -o object
     """
     from wavesim.cli.result_files import remove_unfinished
     from wavesim.metrics.goodness_of_fit import Finding, with_finding

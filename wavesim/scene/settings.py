@@ -272,7 +272,7 @@ class EngineSettings(EngineDetails):
         description="Engine, or auto: the cheapest that meets the error limit.",
         json_schema_extra={"metavar": "[auto|eikonal|slices|wpm|thin-lens|no-lens]"},
     )
-    error: float | None = Field(None, description="Allowed relative error of the engine; default: 0.05.")
+    error: float | None = Field(None, description="Allowed relative error of the exit field; default: 0.05.")
 
 
 class MachineSettings(Settings):
@@ -433,7 +433,9 @@ class FrameSetSettings(Settings):
     option_group: ClassVar[OptionGroup] = OptionGroup.FRAMES
 
     plane_distance_mm: Numbers | None = Field(
-        None, description="Distance of each frame's plane; default: as the frames state."
+        None,
+        description="Distance of each frame's plane from the exit vertex, in the order of FRAMES; default: "
+        "as the frames state.",
     )
     exposure: Numbers | None = Field(
         None, description="Exposure of each frame, in any unit; default: as the frames state."
@@ -542,7 +544,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
 
     method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
     iterations: int | None = Field(
-        None, ge=1, description="Largest number of iterations; default: 80 for object, 500 for paper."
+        None, ge=1, description="Largest number of iterations; default: 80, or 500 with --method paper."
     )
     tv_weight: float | Literal["auto"] = Field(
         "auto", description="Weight of the total variation (method object); auto: from the noise."
