@@ -183,7 +183,7 @@ def _draw_map(axes: Any, found: FailureMap) -> Any:
         np.ma.masked_invalid(shown),
         origin="lower",
         aspect="auto",
-        cmap="RdYlGn_r",
+        cmap="YlOrRd",
         vmin=low,
         vmax=high,
     )
@@ -192,13 +192,13 @@ def _draw_map(axes: Any, found: FailureMap) -> Any:
         for i in range(len(found.x)):
             known = math.isfinite(found.error[j, i])
             text = f"{found.error[j, i]:.1g}" if known else "refused"
-            axes.text(i, j, text, ha="center", va="center", fontsize=8, color="black")
+            is_dark = known and shown[j, i] > -0.6
+            axes.text(i, j, text, ha="center", va="center", fontsize=8, color="white" if is_dark else "black")
     for level, style in ((WARNED, "--"), (REFUSED, "-")):
         _outline(axes, found.guard >= level, style)
     axes.set_xticks(range(len(found.x)), [f"{v:g}" for v in found.x])
     axes.set_yticks(range(len(found.y)), [f"{v:g}" for v in found.y])
-    # Columns of tables keep to ASCII.
-    axes.set(xlabel=found.x_label.replace("(µm)", "(µm)"), ylabel=found.y_label.replace("(µm)", "(µm)"))
+    axes.set(xlabel=found.x_label, ylabel=found.y_label)
     always = ", warning everywhere" if np.all(found.guard >= WARNED) else ""
     axes.set_title(found.method + always, loc="left")
     return picture

@@ -457,7 +457,7 @@ class HierarchicalTiles(EikonalEngine, Tiled):
     def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
         if scene.object_grid.is_line:
             return {}
-        return {"two level": [{"error": error} for error in (0.3, 0.03, 3e-3)]}
+        return {"hierarchical": [{"error": error} for error in (0.3, 0.03, 3e-3)]}
 
     @cached_property
     def region(self) -> Region:
