@@ -26,13 +26,18 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
-from wavesim.calibration.joint.covariance import covariance_of_estimates, residual_variance
+from wavesim.calibration.joint.covariance import (
+    INDEPENDENT_ERRORS,
+    covariance_of_estimates,
+    residual_variance,
+)
 from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.line_search import LineSearch
 from wavesim.calibration.joint.pixels import CalibrationPixels, RayDerivatives
-from wavesim.calibration.joint.selection import Selection, select_parameters
+from wavesim.calibration.joint.selection import count_not_needed, eliminated_in_turn
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.forward.linear_model import LinearModel, RealArray
+from wavesim.metrics.goodness_of_fit import LIMIT
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
@@ -241,20 +246,44 @@ class JointSearch:
         covariance = covariance_of_estimates(
             equations, self.parameters, self.pixels.recorded, object_is_free=self.known is None
         )
-        # The nominal bench comes first: small errors in stiff directions make a linear model ask for more.
-        selected = select_parameters(estimates, covariance, self._pixel_count)
-        nominal = Selection(np.zeros(len(names), bool), np.zeros(len(names)))
-        needed = np.ones(len(names), bool)
-        for one in (nominal, selected):
-            fewer = self._converged_fit_or_none(
-                best.unknowns.changed(names, one.values.tolist()), best.transmission
-            )
-            if fewer is not None and fewer.misfit <= tolerated_ratio * max(
-                best.misfit, self.noise_misfit or 0.0
-            ):
-                best, needed = fewer, one.needed
-                break
+        best, needed = self._with_fewer(best, estimates, covariance, tolerated_ratio)
         return FitResult(best.unknowns, estimates, needed, covariance, best.misfit, state.trail, reason)
+
+    def _with_fewer(
+        self, best: _BenchFit, estimates: Array, covariance: Array, tolerated_ratio: float
+    ) -> tuple[_BenchFit, NDArray[np.bool_]]:
+        """Return a fit that is as good with fewer parameters, and which ones it needs.
+
+        A misfit that is larger by 2 % counts as equal. If the frames are not explained within their noise,
+        each parameter explains one of the independent errors of the model by chance, and the squared misfit
+        may rise by as much without it. In frames that are explained, errors of the model do not decide.
+        """
+        names = [p.name for p in self.parameters]
+        selections = eliminated_in_turn(estimates, covariance)
+        noise = self.noise_misfit or 0.0
+        is_explained = best.misfit <= LIMIT * noise
+        square = (tolerated_ratio * max(best.misfit, noise)) ** 2
+        by_chance = 0.0 if is_explained else (best.misfit**2 - noise**2) / INDEPENDENT_ERRORS
+
+        def fit(count: int) -> _BenchFit | None:
+            """Return the fit without a number of parameters; None if its misfit is larger."""
+            values = selections[count].values.tolist()
+            found = self._converged_fit_or_none(best.unknowns.changed(names, values), best.transmission)
+            return found if found is not None and found.misfit**2 <= square + count * by_chance else None
+
+        # The nominal bench comes first: small errors in stiff directions make a linear model ask for more.
+        not_needed = count_not_needed(selections, covariance, self._pixel_count)
+        for count in (len(names), not_needed):
+            if (fewer := fit(count)) is not None:
+                return fewer, selections[count].needed
+        kept, without = best, 0
+        while not is_explained and not_needed - without > 1:
+            count = (without + not_needed) // 2
+            if (fewer := fit(count)) is None:
+                not_needed = count
+            else:
+                kept, without = fewer, count
+        return kept, selections[without].needed
 
     @property
     def _pixel_count(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,28 @@ def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, result:
         found, true = result.unknowns.values[parameter.name], TRUE.get(parameter.name, BACKGROUND)
         assert abs(found - true) < 3.0 * deviation, (parameter.name, found, deviation)
     assert all(0.0 < d <= p.typical for d, p in zip(result.deviations, search.parameters, strict=True))
+
+
+@pytest.mark.parametrize(("noise_misfit", "eliminated"), [(0.01, 6), (0.0349, 0)])
+def test_what_explains_errors_of_the_model_by_chance_is_not_needed(
+    search: JointSearch, lens: Lens, monkeypatch: pytest.MonkeyPatch, noise_misfit: float, eliminated: int
+) -> None:
+    """Far above the noise, two of eight parameters reduce the misfit by more than 1/60 of its square."""
+    count, lowest = len(search.parameters), 0.035
+    estimates = np.array([3.0, 2.5, *np.linspace(0.1, 1.0, count - 2)])
+    rises = np.array([1.0, 1.0, *np.full(count - 2, 0.9 / 60.0)])
+
+    def fit(_: JointSearch, unknowns: Unknowns, start: Any) -> Any:
+        is_nominal = unknowns.of([p.name for p in search.parameters]) == 0.0
+        misfit = lowest * np.sqrt(1.0 + np.sum(rises[is_nominal]))
+        return SimpleNamespace(misfit=misfit, unknowns=unknowns, transmission=start)
+
+    monkeypatch.setattr(JointSearch, "_converged_fit_or_none", fit)
+    best = SimpleNamespace(misfit=lowest, unknowns=Unknowns(lens), transmission=None)
+    _, needed = replace(search, noise_misfit=noise_misfit)._with_fewer(
+        best, estimates, np.eye(count), tolerated_ratio=1.0
+    )
+    assert needed.tolist() == [True, True, *[eliminated == 0] * (count - 2)]
 
 
 def test_a_parameter_stays_within_its_range(lens: Lens) -> None:

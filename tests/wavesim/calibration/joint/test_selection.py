@@ -2,10 +2,35 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
-from wavesim.calibration.joint.selection import select_parameters
+from wavesim.calibration.joint.selection import Selection, count_not_needed, eliminated_in_turn
+
+
+def select_parameters(estimates: np.ndarray, covariance: np.ndarray, pixels: int) -> Selection:
+    """The parameters that are needed."""
+    selections = eliminated_in_turn(estimates, covariance)
+    return selections[count_not_needed(selections, covariance, pixels)]
+
+
+def test_parameters_are_eliminated_one_by_one_and_the_others_fit_best_without_them() -> None:
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((6, 6))
+    covariance, estimates = root @ root.T + 0.1 * np.eye(6), 5.0 * rng.standard_normal(6)
+    precision = np.linalg.inv(covariance)
+    selections = eliminated_in_turn(estimates, covariance)
+    assert [int(one.needed.sum()) for one in selections] == [6, 5, 4, 3, 2, 1, 0]
+    assert selections[0].values == pytest.approx(estimates)
+    misfits = [(one.values - estimates) @ precision @ (one.values - estimates) for one in selections]
+    assert np.all(np.diff(misfits) > 0.0)
+    for before, one in itertools.pairwise(selections):
+        assert not one.values[~one.needed].any()
+        assert np.all(before.needed[one.needed])
+        gradient = precision @ (one.values - estimates)
+        assert gradient[one.needed] == pytest.approx(0.0, abs=1e-9 * np.abs(precision @ estimates).max())
 
 
 def test_what_noise_makes_is_not_needed() -> None:
