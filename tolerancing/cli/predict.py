@@ -29,9 +29,9 @@ def predict(
     """Predict wavefronts, spreads, footprints and yields from the rays of the nominal lens, without trials.
 
     The yield is joint: the fraction of lenses that keep all limits at once. Limits of the merits rms_waves,
-    strehl, largest_spread_deg and footprint_radius_mm are predicted; others are named. Wavefronts go to
-    second order in the perturbations, without shift and focus. Rays are predicted to first order; 64 traced
-    draws show whether that suffices.
+    strehl, largest_spread_deg and footprint_radius_mm are predicted; others are named. Wavefronts, after the
+    image is registered and refocused, are predicted to second order in the perturbations, and rays to first
+    order; 64 traced draws show whether that suffices.
 
     Example: tolerancing predict study.toml
 

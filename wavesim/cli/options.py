@@ -43,7 +43,7 @@ Priors = Annotated[
     Path | None,
     typer.Option(
         metavar="STUDY",
-        help="Tolerance study (TOML), whose tolerances are the prior deviations of the lens.",
+        help="Tolerance study (TOML), whose tolerances are the expected deviations of the lens.",
         rich_help_panel=OptionGroup.INPUT,
     ),
 ]

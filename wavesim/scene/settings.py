@@ -765,7 +765,8 @@ class CalibrationSettings(FramedSettings):
     )
     parameters: str = Field(
         "all",
-        description="Unknowns: all, light, lens, mounting, camera, rigid, or names separated by commas.",
+        description="Unknowns: all, groups, rigid (decenter and tilt of the lens), or names separated by "
+        "commas; a wrong name lists them.",
         json_schema_extra={"metavar": "[all|light|lens|mounting|camera|rigid]|NAME,..."},
     )
     pivot_z_mm: float = Field(

@@ -37,7 +37,7 @@ def test_a_design_file_will_do(paper_design: Path, report: CheckReport) -> None:
 def test_the_report_shows_itself(report: CheckReport) -> None:
     assert repr(report).endswith("not met: 1, spread 4.8105 of 4.7682°, resolution 0.532 µm>")
     shown = report._repr_html_()
-    assert "not met: 4.8105 &lt;= 4.76821°" in shown
+    assert "not met: 4.8105 ≤ 4.76821°" in shown
     assert shown.count("<tr>") == len(report.constraints) + 3
 
 
