@@ -256,12 +256,13 @@ class JointSearch:
 
         A misfit that is larger by 2 % counts as equal. If the frames are not explained within their noise,
         each parameter explains one of the independent errors of the model by chance, and the squared misfit
-        may rise by as much without it. In frames that are explained, errors of the model do not decide.
+        may rise by as much without it. In frames that are explained, or whose noise is not known, errors of
+        the model do not decide.
         """
         names = [p.name for p in self.parameters]
         selections = eliminated_in_turn(estimates, covariance)
         noise = self.noise_misfit or 0.0
-        is_explained = best.misfit <= LIMIT * noise
+        is_explained = self.noise_misfit is None or best.misfit <= LIMIT * noise
         square = (tolerated_ratio * max(best.misfit, noise)) ** 2
         by_chance = 0.0 if is_explained else (best.misfit**2 - noise**2) / INDEPENDENT_ERRORS
 

@@ -90,9 +90,13 @@ def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, result:
     assert all(0.0 < d <= p.typical for d, p in zip(result.deviations, search.parameters, strict=True))
 
 
-@pytest.mark.parametrize(("noise_misfit", "eliminated"), [(0.01, 6), (0.0349, 0)])
+@pytest.mark.parametrize(("noise_misfit", "eliminated"), [(0.01, 6), (0.0349, 0), (None, 0)])
 def test_what_explains_errors_of_the_model_by_chance_is_not_needed(
-    search: JointSearch, lens: Lens, monkeypatch: pytest.MonkeyPatch, noise_misfit: float, eliminated: int
+    search: JointSearch,
+    lens: Lens,
+    monkeypatch: pytest.MonkeyPatch,
+    noise_misfit: float | None,
+    eliminated: int,
 ) -> None:
     """Far above the noise, two of eight parameters reduce the misfit by more than 1/60 of its square."""
     count, lowest = len(search.parameters), 0.035
