@@ -87,9 +87,8 @@ def check(
 
     The check covers the match of the object's and the sensor's space-bandwidth products (Eq. 1 of the paper),
     the largest angle of the rays behind the lens that the pixels can still sample (spread, Eq. 2), the
-    footprint on the sensor, the numerical aperture, throughput and the edge thickness. A
-    specification (--against) replaces these constraints with its own, for its field, aperture, wavelengths
-    and sensor.
+    footprint on the sensor, the numerical aperture, throughput and the edge thickness. A specification
+    (--against) replaces these constraints with its own, for its field, aperture, wavelengths and sensor.
 
     Example: lensdesign check lens.toml
 

@@ -14,7 +14,7 @@ from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Json, output_option
+from lensdesign.common.options import Json, SpecificationFile, output_option
 from lensdesign.common.progress import progress_text
 from lensdesign.common.text import number_with_unit, relation_symbol, visible
 from lensdesign.errors import InputError
@@ -29,12 +29,7 @@ if TYPE_CHECKING:
 
 
 def optimize(
-    specification: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
-        ),
-    ],
+    specification: SpecificationFile,
     output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
     as_json: Json = False,
     seed: Annotated[
@@ -131,12 +126,7 @@ def optimize(
 
 
 def explore(
-    specification: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
-        ),
-    ],
+    specification: SpecificationFile,
     over: Annotated[
         str,
         typer.Option(
@@ -232,12 +222,7 @@ def explore(
 
 
 def limits(
-    specification: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
-        ),
-    ],
+    specification: SpecificationFile,
     seed: Annotated[
         int,
         typer.Option(

@@ -11,7 +11,7 @@ import typer
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Json, output_option
+from lensdesign.common.options import Json, SpecificationFile, output_option
 from lensdesign.common.progress import progress_text
 from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
@@ -21,12 +21,7 @@ if TYPE_CHECKING:
 
 
 def fit(
-    specification: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
-        ),
-    ],
+    specification: SpecificationFile,
     plates: Annotated[
         Path,
         typer.Option(

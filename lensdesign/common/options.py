@@ -11,6 +11,15 @@ from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.outputs import output_file, output_folder
 
 Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).", show_default=False)]
+SpecificationFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SPEC", help="Specification (TOML): a design with goal, constraints and variables."
+    ),
+]
+StudyFile = Annotated[
+    Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
+]
 GRADES = "[commercial|precision|high_precision|moulded_glass|moulded_plastic|iso10110]"
 """Grades of tolerances, as the help shows them."""
 

@@ -12,7 +12,7 @@ import typer
 
 from lensdesign.common.console import make_app, messages_only, print_json, run_app
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Json, output_option
+from lensdesign.common.options import Json, StudyFile, output_option
 from lensdesign.common.outputs import check_output_file, output_file
 from lensdesign.common.text import number_with_unit, visible
 from lensdesign.errors import InputError, TransferLensError
@@ -60,9 +60,7 @@ app.command()(cli_tolerances.start)
 
 @app.command()
 def run(
-    study: Annotated[
-        Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
-    ],
+    study: StudyFile,
     store: Annotated[
         Path, typer.Option(help="Store to create, or to continue.", rich_help_panel=OptionGroup.OUTPUT)
     ],

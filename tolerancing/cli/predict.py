@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup
+from lensdesign.common.options import StudyFile
 from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ MOST_ROWS = 12
 
 
 def predict(
-    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    study: StudyFile,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object.", rich_help_panel=OptionGroup.OUTPUT)
     ] = False,

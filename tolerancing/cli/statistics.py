@@ -9,7 +9,7 @@ import typer
 
 from lensdesign.common.console import messages_only, print_json
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Json, output_option
+from lensdesign.common.options import Json, StudyFile, output_option
 from tolerancing.cli.tables import print_table
 from tolerancing.cli.tolerances import StorePath, Trust
 
@@ -50,9 +50,7 @@ def rare(
 
 
 def indices(
-    study: Annotated[
-        Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
-    ],
+    study: StudyFile,
     base: Annotated[
         int,
         typer.Option(

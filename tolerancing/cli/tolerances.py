@@ -11,7 +11,7 @@ import typer
 
 from lensdesign.common.console import messages_only, print_json, say
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import GRADES, Design, Json, output_option
+from lensdesign.common.options import GRADES, Design, Json, StudyFile, output_option
 from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
@@ -122,9 +122,7 @@ def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False
 
 
 def inverse(
-    study: Annotated[
-        Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
-    ],
+    study: StudyFile,
     merit: MeritName = None,
     change: Annotated[
         float | None,
@@ -254,9 +252,7 @@ def budget(
 
 
 def cost(
-    study: Annotated[
-        Path, typer.Argument(metavar="STUDY", help="Study (TOML), as `tolerancing start` writes it.")
-    ],
+    study: StudyFile,
     costs: Costs = None,
     process: Processes = None,
     as_json: Json = False,
