@@ -33,7 +33,7 @@ from wavesim.forward.exit_field import (
     add_fraction,
     sum_of_parts,
 )
-from wavesim.forward.pixel_means import PixelMeans
+from wavesim.forward.pixel_means import LinePixelMeans, PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
 from wavesim.scene.engine import Engine, Operator, Tiled
@@ -91,7 +91,8 @@ class ForwardModel:
         grid = engine.scene.exit_grid
         blur_pixels = self.blur_mm / grid.pitch_mm
         needs_means = fill_factor > 0.0 or blur_pixels > 0.0 or self.modes
-        self.pixels = PixelMeans(grid, fill_factor, blur_pixels) if needs_means else None
+        means = PixelMeans if len(grid.shape) == 2 else LinePixelMeans
+        self.pixels = means(grid, fill_factor, blur_pixels) if needs_means else None
         self.propagators = self._propagators(illumination.wavelength_um)
         self._propagators_of = {illumination.wavelength_um: self.propagators}
         self._engines: dict[float, Operator] = {illumination.wavelength_um: engine}

@@ -14,7 +14,7 @@ from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.fields.propagator import propagator_to
 from wavesim.fields.tilted_planes import TiltedPropagator
 from wavesim.forward import bands
-from wavesim.forward.pixel_means import PixelMeans, tilt_changes
+from wavesim.forward.pixel_means import LinePixelMeans, PixelMeans, tilt_changes
 from wavesim.runtime.threads import for_blocks
 from wavesim.sensor.sensor import light_on_pixels
 
@@ -139,6 +139,28 @@ def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, in
     fine = densely(spectrum * factor) * spread(pixels, change)
     expected = 1.0 + coarsely(fine, shape) * factor.conj()
     np.testing.assert_allclose(total, expected, atol=20.0 * np.finfo(dtype).eps * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("count", [1, 3, 6, 41])
+@pytest.mark.parametrize("distance_mm", [0.0, 0.4])
+def test_a_line_has_the_means_and_the_changes_of_a_plane_with_one_row(count, distance_mm) -> None:
+    grid = Grid((1, count), PITCH, 1.0)
+    propagator = TransferFunction(grid, 0.532, distance_mm, np.complex128)
+    spectrum, factor = speckle((1, count), 7)
+    found = []
+    for pixels in (LinePixelMeans(Grid((count,), PITCH, 1.0), 0.9, 0.2), PixelMeans(grid, 0.9, 0.2)):
+        change, added = np.zeros_like(spectrum), np.zeros_like(spectrum)
+        means = pixels.intensity(pixels.propagate(spectrum, propagator))
+        pixels.add_adjoint(pixels.propagate(spectrum, propagator), factor, propagator, added)
+
+        def halved(values: np.ndarray, first: int) -> float:
+            values *= 0.5
+            return float(values.sum())
+
+        results = pixels.apply_change(pixels.propagate(spectrum, propagator), halved, propagator, change)
+        found.append((means, added, change, sum(results)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12 * np.abs(spectrum).max() ** 3)
 
 
 @settings(max_examples=20, deadline=None)

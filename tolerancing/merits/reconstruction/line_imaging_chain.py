@@ -18,23 +18,21 @@ from lensdesign.lens.lens import Lens
 from tolerancing.merits.bars import PEAK_FILL, electronics_for
 from tolerancing.merits.reconstruction.matrices import MATRICES
 from tolerancing.merits.reconstruction.objects import LineObject, LineScores, ObjectKind
-from tolerancing.merits.reconstruction.retrieval import (
-    SAMPLES_PER_PIXEL,
-    LineModel,
-    LineOperator,
-    pixel_amplitude,
-    retrieve_on_line,
-)
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import FreeSpacePropagator
-from wavesim.scene.engine import Engine
+from wavesim.reconstruction.object_solver import reconstruct
+from wavesim.scene.engine import Engine, Grids, Operator
 from wavesim.scene.patches import OBJECT_FINENESS
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
 from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.pixel_integration import means_over_pixels
 
 if TYPE_CHECKING:
     from wavesim import Frame
+
+SAMPLES_PER_PIXEL, FILL_FACTOR = 2, 1.0
+"""Samples per pixel of the simulated frames, and linear fill factor of the pixels."""
 
 EngineName = Literal["eikonal", "slices"]
 Compensation = Literal["vertical", "oblique"]
@@ -162,7 +160,8 @@ class LineImagingChain:
             for index, distance in enumerate(self.planes_mm):
                 grid = self._sensor_grid(index, system)
                 field = first if grid == first.grid else propagate(first, grid, coarse_output=True)
-                planes.append((distance - self.planes_mm[0], pixel_amplitude(field.values)))
+                light = means_over_pixels(np.abs(field.values) ** 2, SAMPLES_PER_PIXEL, FILL_FACTOR)
+                planes.append((distance - self.planes_mm[0], np.sqrt(np.maximum(light, 0.0))))
         if not all(np.any(amplitude > 0.0) for _, amplitude in planes):
             raise InputError(
                 f"field height {self.field_mm:g} mm: no light reaches the sensor, because the image of the "
@@ -196,18 +195,31 @@ class LineImagingChain:
         iterations
             Largest number of iterations.
         """
-        found, _ = retrieve_on_line(
-            self.model(engine, model, refocus_um),
-            planes,
-            is_complex=self.object.is_complex,
+        operator = self.operator(engine, model, refocus_um)
+        distances_mm = [self._sensor_grid(index, model).z_mm for index in range(len(planes))]
+        found = reconstruct(
+            operator,
+            self._light(placed_scene(self.scene, model), operator.scene.object_grid),
+            [
+                replace(plane, distance_mm=distance_mm - distances_mm[0])
+                for plane, distance_mm in zip(planes, distances_mm, strict=True)
+            ],
+            kind="complex" if self.object.is_complex else "amplitude",
             iterations=iterations,
+            scale=1.0,
+            fill_factor=FILL_FACTOR,
+            residuals=False,
         )
-        return self.object.score(found)
+        margin = (found.transmission.grid.size - self.scene.object_grid.size) // 2
+        region = slice(margin, margin + self.scene.object_grid.size)
+        return self.object.score(found.transmission.values[region])
 
-    def model(
+    def operator(
         self, engine: ReconstructionEngine, model: SystemState = AS_DESIGNED, refocus_um: float = 0.0
-    ) -> LineModel:
-        """Return the reconstruction's forward model; parameters as for :meth:`reconstruct`.
+    ) -> Operator:
+        """Return the reconstruction's operator from the object to the pixels of the first plane.
+
+        Parameters are those of :meth:`reconstruct`. The object grid is the region with its margin.
 
         Raises
         ------
@@ -223,16 +235,12 @@ class LineImagingChain:
                 f"{-self.largest_refocus_um:.3g} to {self.largest_refocus_um:.3g} µm; use refocus = false"
             )
         if engine.name == "slices" and model == AS_DESIGNED:
-            operator: LineOperator = MATRICES.matrix(self._model_engine(engine))
+            operator: Operator = MATRICES.matrix(self._model_engine(engine))
         else:
             operator = _engine(self._model_scene(model), engine.name, engine.settings)
-        light = self._light(placed_scene(self.scene, model))
-        to_operator = FreeSpacePropagator(
-            light.grid.at(light.grid.z_mm + 1e-3 * refocus_um),
-            operator.scene.object_grid,
-            light.wavelength_um,
-        )
-        return LineModel(operator, to_operator if is_shifted else None, self._propagators(model), light)
+        if not is_shifted:
+            return operator
+        return RefocusedOperator(operator, 1e-3 * refocus_um, self.wavelength_um)
 
     @property
     def largest_refocus_um(self) -> float:
@@ -256,27 +264,30 @@ class LineImagingChain:
 
     def _model_scene(self, model: SystemState) -> Scene:
         """Return the scene of the reconstruction's model, from the region with margin to the first plane."""
-        scene = placed_scene(replace(self.scene, exit_grid=self._sensor_grid(0, model)), model)
+        pixels = self._sensor_grid(0, model, samples_per_pixel=1)
+        scene = placed_scene(replace(self.scene, exit_grid=pixels), model)
         grid = scene.object_grid
         margin = math.ceil(self.margin_mm / grid.pitch_mm)
         return replace(scene, object_grid=replace(grid, shape=(grid.shape[0] + 2 * margin,)))
 
-    def _light(self, scene: Scene) -> Field:
-        """Return a plane wave along the axis in the field stop, which is the region itself."""
-        grid = scene.object_grid
-        return Field(grid, np.ones(grid.shape, complex), scene.wavelength_um)
+    def _light(self, scene: Scene, grid: Grid | None = None) -> Field:
+        """Return a plane wave along the axis in the field stop, which is the region itself.
 
-    def _sensor_grid(self, index: int, system: SystemState) -> Grid:
+        A grid with margins on both sides of the region is dark there.
+        """
+        region = scene.object_grid
+        grid = grid or region
+        margin = (grid.size - region.size) // 2
+        return Field(grid, np.pad(np.ones(region.shape, complex), margin), scene.wavelength_um)
+
+    def _sensor_grid(
+        self, index: int, system: SystemState, samples_per_pixel: int = SAMPLES_PER_PIXEL
+    ) -> Grid:
         sensor = self.lens.sensor
         z_mm = self.lens.exit_vertex_z_mm + self.planes_mm[index] + system.sensor_pose(index).distance_mm
-        pitch = 1e-3 * sensor.pixel_pitch_um / SAMPLES_PER_PIXEL
-        count = SAMPLES_PER_PIXEL * sensor.pixels[1]
+        pitch = 1e-3 * sensor.pixel_pitch_um / samples_per_pixel
+        count = samples_per_pixel * sensor.pixels[1]
         return Grid((count,), pitch, z_mm, (0.0, system.sensor_shift_mm[1]))
-
-    def _propagators(self, system: SystemState) -> tuple[FreeSpacePropagator | None, ...]:
-        first = self._sensor_grid(0, system)
-        grids = [self._sensor_grid(index, system) for index in range(len(self.planes_mm))]
-        return tuple(None if g == first else FreeSpacePropagator(first, g, self.wavelength_um) for g in grids)
 
     def _with_noise(
         self,
@@ -305,6 +316,44 @@ class LineImagingChain:
             replace(p, amplitude=p.amplitude[:, 0], sigma=None if p.sigma is None else p.sigma[:, 0])
             for p in lines
         ]
+
+
+@dataclass(frozen=True)
+class _Grids:
+    """The grid of a shifted object, and the exit grid of its operator."""
+
+    object_grid: Grid
+    exit_grid: Grid
+
+
+class RefocusedOperator:
+    """Operator from an object plane that is shifted along the axis.
+
+    Parameters
+    ----------
+    operator
+        Operator from the plane that is not shifted.
+    towards_lens_mm
+        Shift of the object plane towards the lens.
+    wavelength_um
+        Vacuum wavelength.
+    """
+
+    def __init__(self, operator: Operator, towards_lens_mm: float, wavelength_um: float) -> None:
+        self.operator, grid = operator, operator.scene.object_grid
+        shifted = grid.at(grid.z_mm + towards_lens_mm)
+        self.scene: Grids = _Grids(shifted, operator.scene.exit_grid)
+        self._to_operator = FreeSpacePropagator(shifted, grid, wavelength_um)
+
+    def forward(self, field: Field) -> Field:
+        """Propagate a field from the shifted plane."""
+        values = self._to_operator.forward(field.values)
+        return self.operator.forward(Field(self.operator.scene.object_grid, values, field.wavelength_um))
+
+    def adjoint(self, field: Field) -> Field:
+        """Apply the adjoint of :meth:`forward`."""
+        values = self._to_operator.adjoint(self.operator.adjoint(field).values)
+        return Field(self.scene.object_grid, values, field.wavelength_um)
 
 
 def _engine(scene: Scene, name: str, settings: dict[str, Any]) -> Engine:
