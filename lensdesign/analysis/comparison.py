@@ -88,7 +88,9 @@ def _surface_values(lens: Lens) -> _Values:
     for i, surface in enumerate(lens.surfaces, start=1):
         given = surface.model_dump(exclude_defaults=True, exclude={"figure", "stop"})
         for key, value in given.items():
-            if key == "asphere":
+            if key == "q_mm":
+                found |= {f"surface {i} Q{k}, mm": (float(q), None) for k, q in enumerate(value)}
+            elif key == "asphere":
                 found |= {
                     f"surface {i} r^{2 * k + 4}, mm^-{2 * k + 3}": (float(v), None)
                     for k, v in enumerate(value)

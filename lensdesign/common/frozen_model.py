@@ -55,14 +55,17 @@ class FrozenModel(BaseModel):
         return copied
 
     def replaced(self, **changes: Any) -> Self:
-        """Return a validated copy with some values replaced.
+        """Return a validated copy with some values replaced, by their names or their keys in a file.
 
         Raises
         ------
         DesignError
             If a value is not allowed, or the values contradict each other.
         """
-        values = {name: getattr(self, name) for name in type(self).model_fields}
+        fields = type(self).model_fields
+        values = {field.alias or name: getattr(self, name) for name, field in fields.items()}
+        keys = {name: field.alias for name, field in fields.items() if field.alias}
+        changes = {keys.get(name, name): value for name, value in changes.items()}
         try:
             return type(self)(**(values | changes))
         except ValidationError as error:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.shapes.base import FormulaShape
 from lensdesign.lens.surface import Surface
 
 
@@ -39,19 +39,15 @@ class SurfaceMeridian:
     azimuth_rad: float = 0.5 * math.pi
 
     @cached_property
-    def shape(self) -> Shape:
+    def shape(self) -> FormulaShape:
         """The surface of revolution that has this meridian."""
         return self.surface.shape.section(self.azimuth_rad)
 
     @cached_property
     def _conic(self) -> tuple[float, float]:
         """Curvature and conic constant."""
-        return float(self.shape.terms[0]), float(self.shape.terms[1])
-
-    @cached_property
-    def _aspheric_part(self) -> Shape:
-        """The shape without its conic."""
-        return self.shape.moved("curvature", -self.shape.terms[0])
+        c, conic = self.shape.start(self.shape.terms)
+        return float(c), float(conic)
 
     @cached_property
     def _edge_mm(self) -> float:
@@ -73,7 +69,7 @@ class SurfaceMeridian:
             if math.isfinite(edge)
             else (u, np.sqrt(1.0 - (1.0 + conic) * c * c * u * u))
         )
-        z = self.vertex_z_mm + c * r * r / (1.0 + root) + self._aspheric_part.sag(0.0, r)
+        z = self.vertex_z_mm + c * r * r / (1.0 + root) + self.shape.departure(r)[0]
         return np.stack([r, z], axis=-1)
 
     def tangents(self, t: Any) -> Array:
@@ -85,7 +81,7 @@ class SurfaceMeridian:
             r, dr, dz = edge * np.sin(u), edge * np.cos(u), c * edge * edge * np.sin(u)
         else:
             r, dr, dz = u, np.ones_like(u), c * u / np.sqrt(1.0 - (1.0 + conic) * c * c * u * u)
-        dz = dz + dr * self._aspheric_part.sag_and_slopes(0.0, r)[2]
+        dz = dz + dr * self.shape.departure(r)[1]
         return self._scale * np.stack([dr, dz], axis=-1)
 
     def parameters(self, r_mm: Any) -> Array:

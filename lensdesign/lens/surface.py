@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
-from lensdesign.lens.shapes.base import Shape, curvature_of, term_of
+from lensdesign.lens.shapes.base import Shape, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
 from lensdesign.lens.surface_figure_source import SurfaceFigureSource
 
@@ -32,6 +32,9 @@ class Surface(FrozenModel):
         an even asphere if `asphere` is given, else a conic.
     radius_x_mm, conic_x
         Radius and conic constant of a biconic along x; `radius_mm` and `conic` are those along y.
+    normalization_radius_mm, q_mm
+        Normalization radius and coefficients of a Forbes asphere (``Qcon`` or ``Qbfs``). `radius_mm` is that
+        of the conic or sphere, to which the polynomials add.
     thickness_mm
         Distance to the vertex of the next surface; None for the last surface.
     material
@@ -57,6 +60,8 @@ class Surface(FrozenModel):
     shape_type: str | None = Field(None, alias="shape")
     radius_x_mm: Finite | None = None
     conic_x: Finite = 0.0
+    normalization_radius_mm: Positive | None = None
+    q_mm: Annotated[tuple[Finite, ...], Field(max_length=10)] = ()
     thickness_mm: Positive | None = None
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
     semi_diameter_mm: Positive | None = None
@@ -88,6 +93,11 @@ class Surface(FrozenModel):
                         f"{key} = {value!r}: a surface of shape {own.NAME} has none; "
                         f'write shape = "{shape.NAME}"'
                     )
+        if "normalization_radius_mm" in own.KEYS and self.normalization_radius_mm is None:
+            raise ValueError(
+                f"normalization_radius_mm: a surface of shape {own.NAME} needs one; commonly its clear "
+                "semi-diameter"
+            )
         return self
 
     @model_validator(mode="after")
@@ -137,8 +147,8 @@ class Surface(FrozenModel):
 
     @property
     def curvature(self) -> float:
-        """1/radius in 1/mm; 0 for a plane."""
-        return curvature_of(self.radius_mm)
+        """Curvature at the vertex in the y-z meridian, in 1/mm; 0 for a plane."""
+        return self.shape.curvature
 
     @property
     def kind(self) -> str:

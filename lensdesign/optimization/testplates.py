@@ -15,6 +15,7 @@ from lensdesign.common.tables import read_list, read_number
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.registry import parameters
 from lensdesign.optimization.result import OptimizationResult
 from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification.specification import Specification
@@ -199,7 +200,7 @@ def _is_sphere(specification: Specification, variable: VariableRange) -> bool:
         return False
     surface = specification.surfaces[variable.surface - 1]
     bent = {v.parameter for v in specification.variables if v.surface == variable.surface}
-    formed = any(name == "conic" or name.startswith(("asphere", "conic_x", "radius_x")) for name in bent)
+    formed = any(name in parameters() and name != "radius_mm" for name in bent)
     return surface.kind in ("plane", "sphere") and not formed
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,13 +67,14 @@ class CompiledSystem:
 
         Their array shapes are (surfaces,), (trials or 1, surfaces, 2) and (trials or 1, surfaces, n).
         """
-        trials = max((len(s.terms) for s in self.shapes if s.terms.ndim > 1), default=1)
-        terms = np.zeros((trials, self.surfaces, max(s.terms.shape[-1] for s in self.shapes)))
+        shapes = [shape.traced for shape in self.shapes]
+        trials = max((len(s.terms) for s in shapes if s.terms.ndim > 1), default=1)
+        terms = np.zeros((trials, self.surfaces, max(s.terms.shape[-1] for s in shapes)))
         starts = np.zeros((trials, self.surfaces, 2))
-        for i, shape in enumerate(self.shapes):
+        for i, shape in enumerate(shapes):
             terms[:, i, : shape.terms.shape[-1]] = shape.terms
             starts[:, i] = np.stack(shape.start(np.moveaxis(shape.terms, -1, 0)), axis=-1)
-        return np.array([code_of(shape) for shape in self.shapes], np.int8), starts, terms
+        return np.array([code_of(shape) for shape in shapes], np.int8), starts, terms
 
     @cached_property
     def for_kernel(self) -> tuple[NDArray[np.int8] | None, Array, Array, tuple[NDArray, ...] | None]:
@@ -207,7 +208,7 @@ def _shape(lens: Lens, i: int, change: SurfacePerturbation | None) -> Shape:
             terms[..., position] = 1.0 / _radius(surface, i, parameter, delta)
         else:
             terms[..., position] += delta
-    shape = type(nominal)(terms)
+    shape = replace(nominal, terms=terms)
     smallest = shape.edge_radius_mm
     if surface.semi_diameter_mm is not None and smallest < surface.semi_diameter_mm:
         raise InputError(

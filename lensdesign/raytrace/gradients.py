@@ -219,7 +219,7 @@ def _differentiate(
     """Return derivatives at fixed launch directions, with two columns more for the launch cosines."""
     from lensdesign.raytrace.gradient_kernel import gradient_kernel
 
-    every = (*variables, Variable("launch_x"), Variable("launch_y"))
+    every, combination = _traced_variables(system, variables)
     n, s, p, v = len(origins), system.surfaces, len(planes_mm), len(every)
     values, derivatives = np.zeros((n, s + 1 + p, 2)), np.zeros((n, s + 1 + p, 2, v))
     status, failed = np.empty(n, np.int8), np.empty(n, np.int16)
@@ -235,12 +235,16 @@ def _differentiate(
         np.ascontiguousarray(planes_mm, dtype=float),
         np.array([0 if x.is_shape_term else 1 + KINDS.index(x.kind) for x in every]),
         np.array([x.surface for x in every]),
-        np.array([system.shapes[x.surface].term_index(x.kind) if x.is_shape_term else 0 for x in every]),
+        np.array(
+            [system.shapes[x.surface].traced.term_index(x.kind) if x.is_shape_term else 0 for x in every]
+        ),
         values,
         derivatives,
         status,
         failed,
     )
+    if combination is not None:
+        derivatives = derivatives @ combination
     return GradientTrace(
         heights=values[:, :s],
         cosines=values[:, s],
@@ -249,6 +253,30 @@ def _differentiate(
         cosines_by=derivatives[:, s],
         plane_points_by=derivatives[:, s + 1 :],
         stop_semi_diameter_mm=0.0,
-        stop_semi_diameter_by=np.zeros(v - 2),
+        stop_semi_diameter_by=np.zeros(len(variables)),
         ok=status == Status.OK,
     )
+
+
+def _traced_variables(
+    system: CompiledSystem, variables: tuple[Variable, ...]
+) -> tuple[tuple[Variable, ...], Array | None]:
+    """Return variables of the traced formulas and of the launch, and how the own variables combine them.
+
+    The matrix has the shape (traced variables, variables and launch); it is None where both are equal.
+    """
+    own = (*variables, Variable("launch_x"), Variable("launch_y"))
+    parts = [
+        {Variable(term, x.surface): by for term, by in system.shapes[x.surface].traced_by(x.kind).items()}
+        if x.is_shape_term
+        else {x: 1.0}
+        for x in own
+    ]
+    traced = tuple(dict.fromkeys(one for part in parts for one in part))
+    if traced == own:
+        return own, None
+    matrix = np.zeros((len(traced), len(own)))
+    for column, part in enumerate(parts):
+        for one, by in part.items():
+            matrix[traced.index(one), column] = by
+    return traced, matrix

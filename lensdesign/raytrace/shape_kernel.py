@@ -17,8 +17,8 @@ from typing import Any
 
 from numba import njit
 
-from lensdesign.lens.shapes.base import Shape
-from lensdesign.lens.shapes.registry import TERM_COUNTS, shape_classes
+from lensdesign.lens.shapes.base import FormulaShape
+from lensdesign.lens.shapes.registry import TERM_COUNTS, formula_classes
 from lensdesign.raytrace.conic_kernel import BLOCK, OPL, L, M, N, X, Y, Z, intersect_conic
 
 _jit = njit(nogil=True, error_model="numpy")
@@ -40,7 +40,7 @@ def _first(count: int) -> Any:
     return _inline(lambda values: fewer(values) + (values[last],))  # noqa: RUF005
 
 
-def _through(shape: type[Shape], count_of_terms: int) -> Any:
+def _through(shape: type[FormulaShape], count_of_terms: int) -> Any:
     """Return the compiled passage of a block through a shape with a number of terms."""
     first, sag_and_gradient = _first(count_of_terms), _inline(shape.sag_and_gradient)
 
@@ -120,7 +120,7 @@ def _passages() -> Iterator[tuple[int, float, Any]]:
 
     Arrays of terms are padded, so that a shape with a few terms has no largest length.
     """
-    for code, shape in enumerate(shape_classes()):
+    for code, shape in enumerate(formula_classes()):
         if code and len(shape.TERMS) <= TERM_COUNTS[0]:
             yield code, math.inf, _through(shape, len(shape.TERMS))
         elif code:
@@ -131,7 +131,7 @@ def _passages() -> Iterator[tuple[int, float, Any]]:
 PASSAGES = tuple(_passages())
 MOST_TERMS = tuple(
     max((most for code, most, _ in PASSAGES if code == own), default=0.0)
-    for own in range(len(shape_classes()))
+    for own in range(len(formula_classes()))
 )
 
 through_shape = _dispatched(PASSAGES)

@@ -15,6 +15,7 @@ from typing import Any
 from lensdesign.errors import InputError
 from lensdesign.files.design import lens_of
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.registry import SHAPES, shape_class
 
 TablePath = tuple[str | int, ...]
 """Position of a value in a design's tables: ("surface", 0, "radius_mm"); indices start at 0."""
@@ -203,10 +204,18 @@ def with_shape(tables: Tables, index: int, shape: str) -> Tables:
     """
     changed = deepcopy(tables)
     surface = changed["surface"][index]
-    for key in ("shape", "asphere", "radius_x_mm", "conic_x"):
-        surface.pop(key, None)
+    keys = set(shape_class(shape).KEYS)
+    for one in SHAPES:
+        for key in {"shape", *shape_class(one).KEYS} - keys - {"radius_mm", "conic"}:
+            surface.pop(key, None)
     if shape == "even asphere":
         surface["asphere"] = [0.0]
+    elif "q_mm" in keys:
+        surface["shape"] = shape
+        surface.setdefault("normalization_radius_mm", surface.get("semi_diameter_mm", 1.0))
+        surface.setdefault("q_mm", [0.0])
+        if "conic" not in keys:
+            surface.pop("conic", None)
     elif shape != "conic":
         surface["shape"] = shape
         for key in ("radius", "conic"):
@@ -220,5 +229,6 @@ def with_term(tables: Tables, index: int) -> Tables:
     """Return tables with a further aspheric term of 0 on a surface (index from 0)."""
     changed = deepcopy(tables)
     surface = changed["surface"][index]
-    surface["asphere"] = [*surface.get("asphere", []), 0.0]
+    key = "q_mm" if "normalization_radius_mm" in surface else "asphere"
+    surface[key] = [*surface.get(key, []), 0.0]
     return changed

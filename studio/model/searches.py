@@ -147,6 +147,8 @@ def variables_of(lens: Lens) -> dict[str, dict[str, Any]]:
             elif name.startswith("asphere_"):
                 most = 0.05 / reach ** int(name.removeprefix("asphere_"))
                 limits = {"bounds": [-most, most]}
+            elif name.startswith("q_"):
+                limits = {"bounds": [-0.05 * reach, 0.05 * reach]}
             else:
                 continue
             found[f"surface {i} {name}"] = {"surface": i, "parameter": name, **limits}

@@ -109,6 +109,12 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
             power = 2 * k + 4
             most = 0.02 / reach**power
             found.append(number(group, (*at, "asphere", k), f"r^{power}", f"mm^-{power - 1}", 0.5, most))
+        if "q_mm" in keys:
+            found.append(number(group, (*at, "normalization_radius_mm"), "normalization radius", "mm"))
+        found += [
+            number(group, (*at, "q_mm", k), f"Q{k}", "mm", 0.5, 1e-3 * reach)
+            for k in range(len(surface.q_mm))
+        ]
         if surface.thickness_mm is not None:
             found.append(number(group, (*at, "thickness_mm"), "thickness", "mm"))
             found.append(_glass(group, (*at, "material"), surface.material))

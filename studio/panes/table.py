@@ -104,6 +104,8 @@ def _table(bench: Workbench) -> tuple[list[str], list[dict[str, Any]]]:
     values = {value.key: value for value in values_of(bench.editing.now.tables, bench.opened, lens)}
     variables = variables_of(lens)
     terms = max(len(surface.asphere) for surface in lens.surfaces)
+    q_terms = max(len(surface.q_mm) for surface in lens.surfaces)
+    is_forbes = any("q_mm" in surface.shape_class.KEYS for surface in lens.surfaces)
     is_biconic = any("radius_x_mm" in surface.shape_class.KEYS for surface in lens.surfaces)
 
     def cell(key: str, label: str, name: str = "") -> dict[str, Any] | None:
@@ -125,6 +127,7 @@ def _table(bench: Workbench) -> tuple[list[str], list[dict[str, Any]]]:
     columns = ["radius (mm)", "thickness (mm)", "glass", "semi-diam. (mm)", "conic"]
     columns += ["radius x (mm)", "conic x"] if is_biconic else []
     columns += [f"r^{2 * k + 4}" for k in range(terms)]
+    columns += ["norm. radius (mm)", *(f"Q{k} (mm)" for k in range(q_terms))] if is_forbes else []
     rows: list[dict[str, Any]] = [
         _row(
             "object",
@@ -158,9 +161,18 @@ def _table(bench: Workbench) -> tuple[list[str], list[dict[str, Any]]]:
             cell(f"{at}.asphere.{k}", f"{name} r^{2 * k + 4}", f"{name} asphere_{2 * k + 4}")
             for k in range(len(surface.asphere))
         ]
+        if is_forbes:
+            cells += [None] * (terms - len(surface.asphere))
+            cells.append(cell(f"{at}.normalization_radius_mm", f"{name} normalization radius, mm"))
+            cells += [
+                cell(f"{at}.q_mm.{k}", f"{name} Q{k}, mm", f"{name} q_{k}_mm")
+                for k in range(len(surface.q_mm))
+            ]
         actions = surface_actions(lens, i)
         if surface.shape_class.NAME == "even asphere":
             actions.append(["term", f"+ r^{2 * len(surface.asphere) + 4}", f"Add an aspheric term to {name}"])
+        elif "q_mm" in surface.shape_class.KEYS:
+            actions.append(["term", f"+ Q{len(surface.q_mm)}", f"Add a term to {name}"])
         row = _row(name, cells, len(columns))
         row |= {
             "shape": surface.shape_class.NAME,

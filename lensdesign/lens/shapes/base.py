@@ -1,5 +1,8 @@
 """The interface of a surface shape: sag over (x, y), its derivatives, and its form in lens files.
 
+A shape has a formula of its own (:class:`FormulaShape`), or is a linear combination of the terms of another
+one's formula (:mod:`lensdesign.lens.shapes.expanded`).
+
 Each formula is written once, as a plain function of numbers that calls NumPy's functions only. The same
 function accepts arrays, complex numbers (for complex-step derivatives) and Numba's scalars.
 """
@@ -9,7 +12,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -21,6 +24,23 @@ Array = NDArray[Any]
 Point = tuple[Any, Any, Any]
 
 
+@dataclass(frozen=True)
+class DrawnTerms:
+    """Terms of a formula on a drawing.
+
+    Attributes
+    ----------
+    formula : str
+        The terms that are added to the conic, with digits after ``_`` for subscripts and after ``^`` for
+        superscripts; empty if there are none.
+    constants : tuple of (str, float)
+        Symbols and values of the constants in the formula.
+    """
+
+    formula: str = ""
+    constants: tuple[tuple[str, float], ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Shape(ABC):
     """Shape of a surface around its vertex, with z along the axis.
@@ -28,9 +48,8 @@ class Shape(ABC):
     Attributes
     ----------
     terms : ndarray, shape (n,) or (trials, n)
-        Parameters of the formula, in the order of `TERMS`, which may be longer. The first two are the
-        curvature in 1/mm and the conic constant of the y-z meridian. A leading axis holds many perturbed
-        copies.
+        Parameters of the shape, in the order of `TERMS`, which may be longer. The first is the curvature of
+        the y-z meridian in 1/mm. A leading axis holds many perturbed copies.
     """
 
     terms: Array
@@ -58,26 +77,6 @@ class Shape(ABC):
     def of_keys(cls, values: Mapping[str, Any]) -> Self:
         """Return the shape with the given values of `KEYS`."""
 
-    @staticmethod
-    @abstractmethod
-    def sag_and_gradient(terms: Any, x: Any, y: Any) -> Point:
-        """Return the sag in mm at (x, y) in mm and its slopes along x and y; NaN beyond the edge."""
-
-    @staticmethod
-    @abstractmethod
-    def sag_hessian(terms: Any, x: Any, y: Any) -> Point:
-        """Return the second derivatives of the sag in 1/mm: xx, xy and yy."""
-
-    @staticmethod
-    @abstractmethod
-    def term_derivatives(terms: Any, j: int, x: Any, y: Any) -> Point:
-        """Return the derivatives of the three values of `sag_and_gradient` with respect to term j."""
-
-    @staticmethod
-    def start(terms: Any) -> tuple[Any, Any]:
-        """Return curvature and conic constant of the conic at which Newton's method starts."""
-        return terms[0], terms[1]
-
     @abstractmethod
     def ends(self) -> Array:
         """Return 1 / r^2 for each radial height r in mm at which a section of the surface ends.
@@ -90,9 +89,18 @@ class Shape(ABC):
     def kind(self) -> str:
         """Name of the simplest shape that has this form."""
 
-    def section(self, azimuth_rad: float) -> Shape:
+    @property
+    @abstractmethod
+    def traced(self) -> FormulaShape:
+        """The same surface as a shape with a formula, with which rays are traced."""
+
+    @abstractmethod
+    def traced_by(self, term: str) -> dict[str, float]:
+        """Return the derivatives of the terms of `traced` with respect to a term, without zeros."""
+
+    def section(self, azimuth_rad: float) -> FormulaShape:
         """Return the surface of revolution with this surface's meridian at an azimuth, from +x towards +y."""
-        return self
+        return self.traced
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         """Return type and numbered parameters (PARM) of the Zemax surface, besides CURV and CONI."""
@@ -107,8 +115,8 @@ class Shape(ABC):
         """Return the CODE V surface type and the values of its terms by letter, besides radius and K."""
         raise InputError(f"a .seq file cannot hold a surface of shape {self.NAME}")
 
-    def drawn(self) -> tuple[float, ...]:
-        """Return the coefficients of r^4, r^6, ... of the formula of ISO 10110-12, besides its conic."""
+    def drawn(self) -> DrawnTerms:
+        """Return what a drawing states of the surface besides its conic."""
         raise InputError(f"a drawing cannot describe a surface of shape {self.NAME}")
 
     @property
@@ -127,29 +135,17 @@ class Shape(ABC):
         """Return the sag in mm at (x, y), with a leading axis for many copies; NaN beyond the edge."""
         return self.sag_and_slopes(x, y)[0]
 
+    @abstractmethod
     def sag_and_slopes(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the sag in mm and its slopes along x and y."""
-        return self._evaluated(self.sag_and_gradient, x, y)
 
+    @abstractmethod
     def second_derivatives(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the second derivatives of the sag in 1/mm: xx, xy and yy."""
-        return self._evaluated(self.sag_hessian, x, y)
 
+    @abstractmethod
     def derivatives_by(self, term: str, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the derivatives of the sag and of its slopes with respect to a term."""
-        j = self.term_index(term)
-        return self._evaluated(lambda terms, x, y: self.term_derivatives(terms, j, x, y), x, y)
-
-    def _evaluated(self, function: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
-        terms = self.terms.T
-        across, down = np.asarray(x), np.asarray(y)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            found = function(terms[..., None] if terms.ndim > 1 else terms, across, down)
-        same = across.shape == down.shape
-        points = across.shape if same else np.broadcast_shapes(across.shape, down.shape)
-        full = terms.shape[1:] + points if terms.ndim > 1 else points
-        a, b, c = (value if np.shape(value) == full else np.broadcast_to(value, full) for value in found)
-        return a, b, c
 
     def term_index(self, term: str) -> int:
         """Return the index of a term in `terms`.
@@ -173,11 +169,13 @@ class Shape(ABC):
         """Return the shape with a change, real or complex, of one term."""
         step = np.zeros(self.terms.shape[-1], np.result_type(self.terms, type(change)))
         step[self.term_index(term)] = change
-        return type(self)(self.terms + step)
+        return replace(self, terms=self.terms + step)
 
     def trial(self, index: int) -> Self:
         """Return the shape of one copy; a single shape applies to every copy."""
-        return self if self.terms.ndim == 1 else type(self)(self.terms[min(index, len(self.terms) - 1)])
+        if self.terms.ndim == 1:
+            return self
+        return replace(self, terms=self.terms[min(index, len(self.terms) - 1)])
 
     @classmethod
     def changed_keys(cls, values: Mapping[str, Any], term: str, value: float) -> dict[str, Any]:
@@ -193,6 +191,69 @@ class Shape(ABC):
             key: factor * value if key.endswith("_mm") and value is not None else value
             for key, value in values.items()
         }
+
+
+class FormulaShape(Shape):
+    """Shape with a formula of its own, which is also compiled."""
+
+    @staticmethod
+    @abstractmethod
+    def sag_and_gradient(terms: Any, x: Any, y: Any) -> Point:
+        """Return the sag in mm at (x, y) in mm and its slopes along x and y; NaN beyond the edge."""
+
+    @staticmethod
+    @abstractmethod
+    def sag_hessian(terms: Any, x: Any, y: Any) -> Point:
+        """Return the second derivatives of the sag in 1/mm: xx, xy and yy."""
+
+    @staticmethod
+    @abstractmethod
+    def term_derivatives(terms: Any, j: int, x: Any, y: Any) -> Point:
+        """Return the derivatives of the three values of `sag_and_gradient` with respect to term j."""
+
+    @staticmethod
+    def start(terms: Any) -> tuple[Any, Any]:
+        """Return curvature and conic constant of the conic at which Newton's method starts."""
+        return terms[0], terms[1]
+
+    def departure(self, r: ArrayLike) -> tuple[Array, Array]:
+        """Return the difference of the sag from that of the conic of :meth:`start`, and its slope.
+
+        Parameters
+        ----------
+        r
+            Radial heights in mm; the surface is one of revolution.
+        """
+        sag, _, slope = self.moved("curvature", -self.terms[0]).sag_and_slopes(0.0, r)
+        return sag, slope
+
+    @property
+    def traced(self) -> FormulaShape:
+        return self
+
+    def traced_by(self, term: str) -> dict[str, float]:
+        return {term: 1.0}
+
+    def sag_and_slopes(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
+        return self._evaluated(self.sag_and_gradient, x, y)
+
+    def second_derivatives(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
+        return self._evaluated(self.sag_hessian, x, y)
+
+    def derivatives_by(self, term: str, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
+        j = self.term_index(term)
+        return self._evaluated(lambda terms, x, y: self.term_derivatives(terms, j, x, y), x, y)
+
+    def _evaluated(self, function: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
+        terms = self.terms.T
+        across, down = np.asarray(x), np.asarray(y)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found = function(terms[..., None] if terms.ndim > 1 else terms, across, down)
+        same = across.shape == down.shape
+        points = across.shape if same else np.broadcast_shapes(across.shape, down.shape)
+        full = terms.shape[1:] + points if terms.ndim > 1 else points
+        a, b, c = (value if np.shape(value) == full else np.broadcast_to(value, full) for value in found)
+        return a, b, c
 
 
 def azimuths_rad(*shapes: Shape) -> Array:

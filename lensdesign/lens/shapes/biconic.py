@@ -14,11 +14,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import Point, Shape, curvature_of, radius_of
+from lensdesign.lens.shapes.base import FormulaShape, Point, curvature_of, radius_of
 from lensdesign.lens.shapes.conic import Conic
 
 
-class Biconic(Shape):
+class Biconic(FormulaShape):
     """Surface with two planes of symmetry, x = 0 and y = 0."""
 
     NAME = "biconic"

@@ -1,4 +1,4 @@
-"""The compiled formulas of all registered shapes: each function takes the code of a shape and its terms."""
+"""The compiled formulas of all shapes: each function takes the code of a formula and its terms."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from numba import njit
 
 from lensdesign.lens.shapes.conic import Conic
-from lensdesign.lens.shapes.registry import shape_classes
+from lensdesign.lens.shapes.registry import formula_classes
 
 # Inlined, because the call of a function of a few lines would double its cost.
 _inline = njit(nogil=True, error_model="numpy", inline="always")
@@ -46,13 +46,13 @@ def _for_term(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
     return chosen
 
 
-sag_and_gradient = _at_point([shape.sag_and_gradient for shape in shape_classes()])
-sag_hessian = _at_point([shape.sag_hessian for shape in shape_classes()])
-term_derivatives = _for_term([shape.term_derivatives for shape in shape_classes()])
+sag_and_gradient = _at_point([shape.sag_and_gradient for shape in formula_classes()])
+sag_hessian = _at_point([shape.sag_hessian for shape in formula_classes()])
+term_derivatives = _for_term([shape.term_derivatives for shape in formula_classes()])
 
 conic_sag_and_gradient = _inline(Conic.sag_and_gradient)
 conic_sag_hessian = _inline(Conic.sag_hessian)
 conic_term_derivatives = _inline(Conic.term_derivatives)
 
-SOURCES = {__name__} | {base.__module__ for shape in shape_classes() for base in shape.__mro__[:-2]}
+SOURCES = {__name__} | {base.__module__ for shape in formula_classes() for base in shape.__mro__[:-2]}
 """Modules that contain the formulas."""

@@ -13,10 +13,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import Point, Shape, curvature_of
+from lensdesign.lens.shapes.base import DrawnTerms, FormulaShape, Point, curvature_of
 
 
-class Conic(Shape):
+class Conic(FormulaShape):
     """Surface of revolution of a conic section."""
 
     NAME = "conic"
@@ -66,8 +66,8 @@ class Conic(Shape):
             return "plane"
         return "conic" if self.terms[..., 1] else "sphere"
 
-    def drawn(self) -> tuple[float, ...]:
-        return ()
+    def drawn(self) -> DrawnTerms:
+        return DrawnTerms()
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         return "STANDARD", {}

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from lensdesign.errors import InputError
-from lensdesign.lens.shapes.base import Point, curvature_of
+from lensdesign.lens.shapes.base import DrawnTerms, Point, curvature_of
 from lensdesign.lens.shapes.conic import Conic
 
 ORDERS = tuple(f"asphere_{order}" for order in range(4, 44, 2))
@@ -86,8 +86,12 @@ class EvenAsphere(Conic):
     def kind(self) -> str:
         return "even asphere" if np.any(self.terms[..., 2:]) else super().kind
 
-    def drawn(self) -> tuple[float, ...]:
-        return tuple(self.terms[2:])
+    def drawn(self) -> DrawnTerms:
+        orders, count = range(4, 2 * len(self.terms), 2), len(self.terms) - 2
+        shown = orders if count <= 2 else (orders[0], orders[-1])
+        words = [f"A_{order} r^{order}" for order in shown] if np.any(self.terms[2:]) else []
+        constants = ((f"A_{n}", float(a)) for n, a in zip(orders, self.terms[2:], strict=True))
+        return DrawnTerms((" + … + " if count > 2 else " + ").join(words), tuple(constants))
 
     def _written(self, most: int, kind: str) -> list[float]:
         """Return the coefficients for a file format that has at most so many."""

@@ -68,6 +68,7 @@ def intersect(
     converged : ndarray of bool, shape (n,)
         False where Newton's method did not converge.
     """
+    shape = shape.traced
     curvature, conic = shape.start(shape.terms)
     x, y, z = np.moveaxis(position, -1, 0)
     dx, dy, dz = np.moveaxis(direction, -1, 0)

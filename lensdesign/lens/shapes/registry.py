@@ -1,20 +1,31 @@
-"""Registry of the surface shapes, one line each; the position of the line is its code in compiled tracing."""
+"""Registry of the surface shapes, one line each, and of the formulas with which rays are traced."""
 
 from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
+from typing import Any
 
-from lensdesign.lens.shapes.base import Shape, term_of
+from lensdesign.lens.shapes.base import FormulaShape, Shape, term_of
 
 SHAPES = {
     "conic": "lensdesign.lens.shapes.conic:Conic",
     "even asphere": "lensdesign.lens.shapes.even_asphere:EvenAsphere",
     "biconic": "lensdesign.lens.shapes.biconic:Biconic",
+    "Qcon": "lensdesign.lens.shapes.forbes:Qcon",
+    "Qbfs": "lensdesign.lens.shapes.forbes:Qbfs",
 }
-"""Class of each shape by its name in design files. Rays intersect the first one, the conic, in closed
-form."""
+"""Class of each shape by its name in design files."""
 
+FORMULAS = (
+    "lensdesign.lens.shapes.conic:Conic",
+    "lensdesign.lens.shapes.even_asphere:EvenAsphere",
+    "lensdesign.lens.shapes.biconic:Biconic",
+    "lensdesign.lens.shapes.sphere_departure:SphereDeparture",
+)
+"""Classes of the formulas; the position is the code in compiled tracing. Rays intersect the first one, the
+conic, in closed form.
+"""
 
 TERM_COUNTS = (8, 12)
 """Numbers of terms for which sums over terms are unrolled in compiled tracing. Rays through shapes with more
@@ -30,8 +41,7 @@ def padded_count(terms: int) -> int:
 @cache
 def shape_class(name: str) -> type[Shape]:
     """Return the class of a shape by its name."""
-    module, _, attribute = SHAPES[name].partition(":")
-    found: type[Shape] = getattr(import_module(module), attribute)
+    found: type[Shape] = _loaded(SHAPES[name])
     return found
 
 
@@ -41,9 +51,20 @@ def shape_classes() -> tuple[type[Shape], ...]:
     return tuple(shape_class(name) for name in SHAPES)
 
 
-def code_of(shape: Shape) -> int:
-    """Return the code of a shape in compiled ray tracing."""
-    return list(SHAPES).index(shape.NAME)
+@cache
+def formula_classes() -> tuple[type[FormulaShape], ...]:
+    """Return all classes of formulas in the order of their codes."""
+    return tuple(map(_loaded, FORMULAS))
+
+
+def _loaded(name: str) -> Any:
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def code_of(shape: FormulaShape) -> int:
+    """Return the code of a formula in compiled ray tracing."""
+    return formula_classes().index(type(shape))
 
 
 @cache

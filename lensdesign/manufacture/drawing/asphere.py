@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 
 from lensdesign.analysis.sag_tables import SagTable, sag_table
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import DrawnTerms
 from lensdesign.manufacture.drawing.primitives import Area, Item, Text, cell, fitted, line, text_width_mm
 
 LINE_MM, TEXT_MM = 4.1, 2.6
@@ -37,9 +39,11 @@ def asphere_panel(
     items: list[Item] = [
         cell(Area(area.left, top, area.right, area.top), f"{name}: {surface.kind}; r, z in mm", 3.0)
     ]
-    items += _formula(surface.radius_mm is not None, surface.shape.drawn(), Area(*area[:3], top))
-    top -= 2.6 * LINE_MM
-    constants = _constants(surface.radius_mm, surface.conic, surface.shape.drawn(), conic_tolerance)
+    drawn = surface.shape.drawn()
+    formula, rows_of_formula = _formula(surface.radius_mm is not None, drawn, Area(*area[:3], top))
+    items += formula
+    top -= rows_of_formula * LINE_MM
+    constants = _constants(surface.radius_mm, surface.conic, drawn, conic_tolerance)
     # Largest number of constants in a column.
     max_rows = 11
     columns = 1 if len(constants) <= max_rows else 2
@@ -59,28 +63,32 @@ def asphere_panel(
 
 
 def _constants(
-    radius: float | None, conic: float, asphere: tuple[float, ...], conic_tolerance: float | None
+    radius: float | None, conic: float, drawn: DrawnTerms, conic_tolerance: float | None
 ) -> list[str]:
     """Return the constants of the formula as texts, for r and z in mm."""
     allowed = "" if conic_tolerance is None else f" ±{conic_tolerance:g}"
     base = [] if radius is None else [f"R = {radius:.10g}", f"k = {conic:.10g}{allowed}"]
-    terms = [
-        f"A{str(order).translate(SUBSCRIPTS)} = {value:.10g}"
-        for order, value in zip(range(4, 4 + 2 * len(asphere), 2), asphere, strict=True)
-    ]
-    return base + terms
+    return base + [f"{_typeset(symbol)} = {value:.10g}" for symbol, value in drawn.constants]
 
 
-def _formula(curved: bool, asphere: tuple[float, ...], area: Area) -> list[Item]:
-    """Draw the formula z(r) with a fraction bar."""
+def _typeset(formula: str) -> str:
+    """Return a formula with subscripts and superscripts as characters."""
+    raised = re.sub(r"\^(\d+)", lambda found: found[1].translate(SUPERSCRIPTS), formula)
+    lowered = re.sub(r"_(\d+)", lambda found: found[1].translate(SUBSCRIPTS), raised)
+    return re.sub(r"_m\b", "ₘ", lowered).replace("r_N", "rₙ")
+
+
+def _formula(curved: bool, drawn: DrawnTerms, area: Area) -> tuple[list[Item], float]:
+    """Draw the formula z(r) with a fraction bar; return also its height in lines.
+
+    Terms that would make it small stand on a line of their own.
+    """
     above, below = "r²", "R (1 + √(1 − (1 + k) r²/R²))"
-    count = len(asphere)
-    orders = [4] if count == 1 else [4, 6] if count == 2 else [4, 2 + 2 * count]
-    words = [f"A{str(n).translate(SUBSCRIPTS)} r{str(n).translate(SUPERSCRIPTS)}" for n in orders]
-    terms = (" + … + " if count > 2 else " + ").join(words) if any(asphere) else ""
+    terms, width_mm = _typeset(drawn.formula), area.width - 4.0
     head, tail = "z(r) = ", f" + {terms}" if terms and curved else terms
-    per_mm = text_width_mm(head + tail + (below if curved else ""), 1.0)
-    size = min(TEXT_MM, (area.width - 4.0) / per_mm)
+    conic_mm = text_width_mm(head + (below if curved else ""), 1.0)
+    is_on_one_line = conic_mm + text_width_mm(tail, 1.0) <= width_mm / (0.75 * TEXT_MM) or not curved
+    size = min(TEXT_MM, width_mm / (conic_mm + (text_width_mm(tail, 1.0) if is_on_one_line else 0.0)))
     x, y = area.left + 1.5, area.top - 1.4 * LINE_MM
     items: list[Item] = [Text(x, y, head.rstrip(), size)]
     x += text_width_mm(head, size)
@@ -92,9 +100,10 @@ def _formula(curved: bool, asphere: tuple[float, ...], area: Area) -> list[Item]
             Text(x + 0.5 * width, y + 0.36 * size - 0.5 - 0.8 * size, below, size, "middle"),
         ]
         x += width
-    if tail:
-        items.append(Text(x + text_width_mm(" ", size), y, tail.strip(), size))
-    return items
+    if is_on_one_line:
+        return [*items, *([Text(x + text_width_mm(" ", size), y, tail.strip(), size)] if tail else [])], 2.6
+    text, size = fitted(tail.strip(), width_mm, TEXT_MM)
+    return [*items, Text(area.left + 3.0, y - 1.9 * LINE_MM, text, size)], 4.0
 
 
 def _spacing(semi_mm: float) -> float:

@@ -16,7 +16,7 @@ import pytest
 from numba.core import caching
 
 from lensdesign.lens.shapes.compiled import SOURCES
-from lensdesign.lens.shapes.registry import shape_classes
+from lensdesign.lens.shapes.registry import formula_classes
 from lensdesign.raytrace.cached_kernels import KernelCacheWarning, _private_folder, cached_njit, drop_outdated
 
 
@@ -59,7 +59,7 @@ def test_nothing_is_touched_where_nothing_is_kept(formula: Path, tmp_path: Path)
 
 
 def test_kernels_of_rays_are_kept_with_the_formulas_of_all_shapes() -> None:
-    assert {shape.__module__ for shape in shape_classes()} < SOURCES
+    assert {shape.__module__ for shape in formula_classes()} < SOURCES
     assert all(name in sys.modules for name in SOURCES)
 
 

@@ -108,6 +108,12 @@ def test_the_table_of_surfaces_edits_flags_and_bounds(bench: Workbench) -> None:
     assert table.columns[-2:] == ["r^4", "r^6"]
     table._handle_msg({"surface": 1, "shape": "biconic"})
     assert bench.lens.surfaces[1].radius_x_mm == -12.5
+    table._handle_msg({"surface": 1, "shape": "Qbfs"})
+    table._handle_msg({"action": "term", "group": "surface 2"})
+    assert (bench.lens.surfaces[1].kind, bench.lens.surfaces[1].q_mm) == ("sphere", (0.0, 0.0))
+    assert table.columns[-3:] == ["norm. radius (mm)", "Q0 (mm)", "Q1 (mm)"]
+    table._handle_msg({"key": "surface.1.q_mm.1", "kind": "number", "text": "0.001"})
+    assert bench.lens.surfaces[1].q_mm == (0.0, 0.001)
     table._handle_msg({"surface": 1, "shape": "conic"})
     assert bench.lens.surfaces[1].shape_class.NAME == "conic"
     table._handle_msg({"key": "surface.1.conic", "kind": "number", "text": HOSTILE})

@@ -27,8 +27,18 @@ from lensdesign import (
     write_zmx,
 )
 from lensdesign.lens.shapes.base import Shape, parameter_of, term_of
+from lensdesign.lens.shapes.conic import Conic
+from lensdesign.lens.shapes.expanded import ExpandedShape
 from lensdesign.lens.shapes.intersection import intersect
-from lensdesign.lens.shapes.registry import SHAPES, class_with, code_of, parameters, shape_class
+from lensdesign.lens.shapes.registry import (
+    FORMULAS,
+    SHAPES,
+    class_with,
+    code_of,
+    formula_classes,
+    parameters,
+    shape_class,
+)
 from lensdesign.raytrace.compiled import compile_system
 
 EVERY = pytest.mark.parametrize("name", list(SHAPES))
@@ -42,6 +52,8 @@ def values_of(parameter: str) -> st.SearchStrategy[float]:
         return signed(9.0, 300.0)
     if parameter.startswith("conic"):
         return numbers(-3.0, 1.5)
+    if parameter.startswith("q_"):
+        return numbers(-0.02, 0.02)
     return numbers(-2e-5, 2e-5).map(lambda a: a * 10.0 ** (4 - int(parameter.rpartition("_")[2])))
 
 
@@ -50,6 +62,8 @@ def surfaces(draw: st.DrawFn, name: str) -> Surface:
     """Of one shape, with a few of its parameters drawn."""
     shape = shape_class(name)
     values: dict[str, Any] = {key: Surface.model_fields[key].default for key in shape.KEYS}
+    if "normalization_radius_mm" in values:
+        values["normalization_radius_mm"] = draw(numbers(REACH_MM, 2.0 * REACH_MM))
     for parameter in shape.PARAMETERS[:6]:
         value = draw(values_of(parameter))
         value = 1.0 / value if parameter.startswith("radius") else value
@@ -83,7 +97,9 @@ def test_derivatives_equal_complex_steps_of_the_sag(name: str, data: st.DataObje
     assert_close(shape.second_derivatives(x, y), [along_x[1], along_x[2], along_y[2]], 1e-13)
     for term in shape.TERMS[: len(shape.terms)]:
         wanted = np.array(shape.moved(term, 1j * STEP).sag_and_slopes(x, y)).imag / STEP
-        assert_close(shape.derivatives_by(term, x, y), wanted, 1e-13)
+        # Powers of polynomials of a high order cancel at the rim.
+        error = 1e-12 if isinstance(shape, ExpandedShape) else 1e-13
+        assert_close(shape.derivatives_by(term, x, y), wanted, error)
 
 
 @EVERY
@@ -137,7 +153,7 @@ def test_files_give_the_surface_back(
         found = read(path).lens.surfaces[0].shape
         x, y = np.linspace(-REACH_MM, REACH_MM, 9), np.linspace(0.0, REACH_MM, 9)
         assert np.array_equal(found.sag(x, y), shape.sag(x, y))
-        assert found.kind == shape.kind
+        assert found.kind == shape.traced.kind
 
 
 def refuses(call: Callable[[], object]) -> bool:
@@ -179,14 +195,18 @@ def test_the_surface_ends_where_it_says(name: str, data: st.DataObject) -> None:
 def test_a_shape_is_known_by_its_name_its_number_and_its_terms(name: str) -> None:
     shape = shape_class(name)
     assert name == shape.NAME
-    assert shape.TERMS[:2] == ("curvature", "conic")
+    assert shape.TERMS[0] == "curvature"
     assert set(shape.KEYS) <= set(Surface.model_fields)
-    assert code_of(shape(np.zeros(2))) == list(SHAPES).index(name)
     for parameter in shape.PARAMETERS:
         assert term_of(parameter) in shape.TERMS
         assert parameter_of(term_of(parameter)) == parameter
         assert parameter in parameters()
         assert term_of(parameter) in class_with(term_of(parameter)).TERMS
+
+
+def test_the_code_of_a_formula_is_its_position_and_the_conic_is_the_first() -> None:
+    assert [code_of(formula(np.zeros(2))) for formula in formula_classes()] == list(range(len(FORMULAS)))
+    assert formula_classes()[0] is Conic
 
 
 def test_many_copies_lie_along_a_leading_axis(paper_lens: Lens) -> None:
