@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import accumulate
 from typing import Annotated, Any
 
@@ -124,7 +125,7 @@ class Surface(FrozenModel):
             )
         return self
 
-    @property
+    @cached_property
     def shape(self) -> Shape:
         """Shape of the surface, without the figure."""
         return self.shape_class.of_keys(self.shape_keys)
