@@ -10,6 +10,7 @@ from benchmarks.others import HOW_TO_GET, missing_packages
 
 SCRIPTS = (
     "trace_speed",
+    "asphere_forms",
     "asphere_speed",
     "trace_limit",
     "as_built",

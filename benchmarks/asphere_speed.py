@@ -1,4 +1,4 @@
-"""Speed of the ray trace through even aspheres, beside Optiland on the same rays.
+"""Speed of the ray trace through even aspheres, beside Optiland on the same rays, and of Forbes aspheres.
 
 The lens is the paper's, with departures of some wavelengths on one or both surfaces. A ray-surface is one ray
 taken to one surface: here two refracting surfaces and the plane at the end, so three for each ray.
@@ -26,6 +26,34 @@ def main() -> None:
     paper = load_design(DESIGNS / "paper_singlet.toml")
     for aspheres, target in TARGETS.items():
         compare(with_aspheres(paper, aspheres), aspheres, target)
+    compare_shapes(paper)
+
+
+def compare_shapes(lens: Lens) -> None:
+    """Measure and print lenses with other shapes of the back, beside that with one even asphere."""
+    back, wavelength = lens.surfaces[-1], lens.wavelengths_um[0]
+    keys = {"normalization_radius_mm": 10.0, "q_mm": (2e-3, -1e-3, 5e-4)}
+    backs = {
+        "conic": back,
+        "even asphere": back.replaced(asphere=ASPHERE),
+        "Qcon": back.replaced(shape="Qcon", **keys),
+        "Qbfs": back.replaced(shape="Qbfs", radius_mm=-13.5, conic=0.0, **keys),
+    }
+    origins, directions = random_rays(lens, wavelength, RAYS)
+    work: dict[str, Callable[[], object]] = {}
+    for name, surface in backs.items():
+        changed = lens.replaced(surfaces=(*lens.surfaces[:-1], surface))
+        plane_z = changed.exit_vertex_z_mm + PLANE_DISTANCE_MM
+        ours = partial(trace, changed, origins, directions, wavelength, plane_z_mm=plane_z)
+        work[name] = partial(ours, out=ours())
+    times = interleaved(work, ROUNDS, RUNS)
+    total = 1e-6 * RAYS * (len(lens.surfaces) + 1)
+    rows = [Row(f"{name}, best", total / times[name].best, "million ray-surfaces/s") for name in work]
+    rows += [
+        Row(f"{name} / even asphere, best", times["even asphere"].best / times[name].best, at_least=0.8)
+        for name in ("Qcon", "Qbfs")
+    ]
+    print_table(f"{RAYS} rays, shapes of the back, {ROUNDS} turns of {RUNS} runs of each", rows)
 
 
 def with_aspheres(lens: Lens, count: int) -> Lens:

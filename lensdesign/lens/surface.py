@@ -92,7 +92,7 @@ class Surface(FrozenModel):
                 if key not in own.KEYS and value != type(self).model_fields[key].default:
                     raise ValueError(
                         f"{key} = {value!r}: a surface of shape {own.NAME} has none; "
-                        f'write shape = "{shape.NAME}"'
+                        f"{self._shape_with_keys(shape)}"
                     )
         if "normalization_radius_mm" in own.KEYS and self.normalization_radius_mm is None:
             raise ValueError(
@@ -101,9 +101,36 @@ class Surface(FrozenModel):
             )
         return self
 
+    def _shape_with_keys(self, other: type[Shape]) -> str:
+        """Return which shape has all keys of this surface, or that none has."""
+        fields = type(self).model_fields
+        keys = {key for shape in shape_classes() for key in shape.KEYS}
+        given = {key for key in keys if getattr(self, key) != fields[key].default}
+        names = [shape.NAME for shape in (other, *shape_classes()) if given <= set(shape.KEYS)]
+        return f'write shape = "{names[0]}"' if names else f"remove it, or use shape {other.NAME} alone"
+
+    @model_validator(mode="after")
+    def _within_normalization(self) -> Surface:
+        normalization, semi = self.normalization_radius_mm, self.semi_diameter_mm
+        # Largest radial height over the normalization radius; the polynomials grow fast beyond 1.
+        most = 2.0
+        if normalization is not None and semi is not None and semi > most * normalization:
+            raise ValueError(
+                f"normalization_radius_mm = {normalization:g}: the semi_diameter_mm of {semi:g} is more than "
+                f"{most:g} times larger; use about the semi-diameter"
+            )
+        if normalization is not None and not np.all(np.isfinite(self.shape.traced.terms)):
+            raise ValueError(f"normalization_radius_mm = {normalization:g}: too small")
+        return self
+
     @model_validator(mode="after")
     def _within_edge(self) -> Surface:
         edge = self.shape.edge_radius_mm
+        if self.shape_type == "Qbfs" and self.semi_diameter_mm == edge and any(self.q_mm):
+            raise ValueError(
+                f"semi_diameter_mm = {self.semi_diameter_mm:g} is the radius of the sphere, where the "
+                "departure of a Qbfs has no sag; use a smaller one"
+            )
         if self.semi_diameter_mm is not None and self.semi_diameter_mm > edge:
             raise ValueError(
                 f"semi_diameter_mm = {self.semi_diameter_mm:g} lies beyond the edge of the conic, "

@@ -204,7 +204,7 @@ def with_shape(tables: Tables, index: int, shape: str) -> Tables:
     """
     changed = deepcopy(tables)
     surface = changed["surface"][index]
-    keys = set(shape_class(shape).KEYS)
+    before, keys = surface.get("shape"), set(shape_class(shape).KEYS)
     for one in SHAPES:
         for key in {"shape", *shape_class(one).KEYS} - keys - {"radius_mm", "conic"}:
             surface.pop(key, None)
@@ -212,8 +212,11 @@ def with_shape(tables: Tables, index: int, shape: str) -> Tables:
         surface["asphere"] = [0.0]
     elif "q_mm" in keys:
         surface["shape"] = shape
-        surface.setdefault("normalization_radius_mm", surface.get("semi_diameter_mm", 1.0))
-        surface.setdefault("q_mm", [0.0])
+        scene = changed["object"]
+        reach = scene["numerical_aperture"] * scene["working_distance_mm"]
+        surface.setdefault("normalization_radius_mm", surface.get("semi_diameter_mm", reach))
+        if before != shape:  # the polynomials differ
+            surface["q_mm"] = [0.0]
         if "conic" not in keys:
             surface.pop("conic", None)
     elif shape != "conic":

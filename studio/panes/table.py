@@ -7,6 +7,7 @@ from typing import Any
 import param
 
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.forbes import MOST_Q_TERMS
 from lensdesign.lens.shapes.registry import SHAPES
 from studio.model.bench import Workbench
 from studio.model.editing import with_shape, with_term
@@ -171,7 +172,7 @@ def _table(bench: Workbench) -> tuple[list[str], list[dict[str, Any]]]:
         actions = surface_actions(lens, i)
         if surface.shape_class.NAME == "even asphere":
             actions.append(["term", f"+ r^{2 * len(surface.asphere) + 4}", f"Add an aspheric term to {name}"])
-        elif "q_mm" in surface.shape_class.KEYS:
+        elif "q_mm" in surface.shape_class.KEYS and len(surface.q_mm) < MOST_Q_TERMS:
             actions.append(["term", f"+ Q{len(surface.q_mm)}", f"Add a term to {name}"])
         row = _row(name, cells, len(columns))
         row |= {

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.forbes import Q_TERMS
 from tolerancing.cost.table import CostTable
 from tolerancing.perturbations.batch import radius_delta_mm
 from tolerancing.perturbations.parameters import (
@@ -174,7 +175,7 @@ def _quantity(parameter: PerturbedParameter) -> str:
         return "decenter_mm"
     if name in (*IRREGULARITIES, "thickness_mm", "index", "abbe_percent"):
         return name
-    return "distance_mm" if name.endswith("_mm") else "form_um"
+    return "distance_mm" if name.endswith("_mm") and name not in Q_TERMS else "form_um"
 
 
 def _unit(parameter: PerturbedParameter, quantity: str, lens: Lens) -> float:
@@ -193,6 +194,8 @@ def _unit(parameter: PerturbedParameter, quantity: str, lens: Lens) -> float:
         raise InputError(
             f"{parameter.column}: the surface has no semi_diameter_mm, to which its form refers; give it one"
         )
+    if name in Q_TERMS:
+        return 1e3
     if name.startswith("asphere_"):
         return 1e3 * h ** int(name.removeprefix("asphere_"))
     radius = surface.radius_x_mm if name == "conic_x" else surface.radius_mm

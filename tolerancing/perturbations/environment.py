@@ -7,10 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
 from lensdesign.lens.catalogues.thermal import REFERENCE_C
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import term_of
+from lensdesign.lens.shapes.expanded import ExpandedShape
 from lensdesign.lens.surface import Surface
 from lensdesign.lens.temperature import heated_keys, heated_material, thermal_expansion
 
@@ -47,7 +49,7 @@ def heat_deltas(
     shifts, inverse = np.unique(change_c, return_inverse=True)
     for i, surface in enumerate(lens.surfaces):
         strains = (expansion.surfaces_per_k[i] * shifts).tolist()
-        heated = [surface.replaced(**heated_keys(surface, strain)) for strain in strains]
+        heated = [_heated(surface, i, strain) for strain in strains]
         for name in surface.shape_parameters:
             values = np.array([_value(one, name) - _value(surface, name) for one in heated])
             if np.any(values):
@@ -61,6 +63,25 @@ def heat_deltas(
         ]
         if np.any(changes):
             yield i, "index", np.array(changes)[inverse]
+
+
+def _heated(surface: Surface, index: int, strain: float) -> Surface:
+    """Return the expanded surface; a Forbes asphere keeps its normalization radius, which is no parameter."""
+    heated = surface.replaced(**heated_keys(surface, strain))
+    shape, radius_mm = heated.shape, surface.normalization_radius_mm
+    if radius_mm is None:
+        return heated
+    assert isinstance(shape, ExpandedShape)
+    try:
+        terms = shape.renormalized(radius_mm).terms
+    except InputError as error:
+        raise InputError(
+            f'surface {index + 1}: a study cannot change its temperature: {error}; use shape = "Qcon" '
+            "for this surface"
+        ) from None
+    return heated.replaced(
+        normalization_radius_mm=radius_mm, q_mm=tuple(terms[len(terms) - len(surface.q_mm) :].tolist())
+    )
 
 
 def heat_shifts_mm(lens: Lens, change_c: Array, mount_expansion_per_k: float) -> tuple[Array, Array]:

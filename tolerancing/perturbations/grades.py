@@ -217,7 +217,7 @@ def _surface(lens: Lens, index: int, grade: str) -> str:
     if surface.semi_diameter_mm is not None:
         text += _irregularity(target, waves, made.irregularity)
     if surface.kind not in ("plane", "sphere"):
-        text += "".join(_conic(lens, index, key, made) for key in radii)
+        text += "".join(_conic(lens, index, key, made) for key in radii if _conic_of(key) in keys)
         for axis in "xy":
             decenter = made.grade.asphere_decenter_mm
             comment = f"+-{decenter:g} mm against the part's axis"
@@ -326,8 +326,12 @@ def _conic(lens: Lens, index: int, radius_key: str, made: _PartTolerances) -> st
         allowed = 32.0 * pv_mm * abs(getattr(surface, radius_key)) ** 3 / surface.semi_diameter_mm**4
         conic = min(allowed, largest)
         comment = "equivalent to the irregularity" if conic == allowed else "a guess"
-    key = radius_key.removesuffix("_mm").replace("radius", "conic")
-    return _perturbation(target, key, conic, comment)
+    return _perturbation(target, _conic_of(radius_key), conic, comment)
+
+
+def _conic_of(radius_key: str) -> str:
+    """Return the key of the conic constant that belongs to a radius."""
+    return radius_key.removesuffix("_mm").replace("radius", "conic")
 
 
 def _space_behind(lens: Lens, index: int, made: _PartTolerances) -> str:

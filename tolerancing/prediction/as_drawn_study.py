@@ -117,6 +117,8 @@ def _has(lens: Lens, kind: Kind, surface: int) -> bool:
         return own.radius_mm is not None
     if kind == "irregularity":
         return own.semi_diameter_mm is not None
+    if kind == "conic" and "conic" not in own.shape_parameters:
+        return False
     if kind in ("decenter", "conic"):
         return own.kind not in ("plane", "sphere")
     return kind != "Abbe number" or isinstance(own.material, str)

@@ -108,12 +108,13 @@ class Reconstructed:
         return f"Reconstructed({', '.join(f'{name} {value}' for name, value in self._rows())})"
 
     def _repr_html_(self) -> str:
-        return html_table("Reconstructed object", self._rows(), html_picture(self.transmission.values))
+        picture = html_picture(np.atleast_2d(self.transmission.values))
+        return html_table("Reconstructed object", self._rows(), picture)
 
     def _rows(self) -> list[tuple[str, str]]:
         grid, why = self.transmission.grid, STOPPED[self.stopped_because]
         return [
-            ("samples", f"{grid.shape[0]} x {grid.shape[1]} of {1e3 * grid.pitch_mm:.4g} µm"),
+            ("samples", f"{' x '.join(map(str, grid.shape))} of {1e3 * grid.pitch_mm:.4g} µm"),
             ("iterations", f"{len(self.misfit)}, misfit {self.misfit[-1]:.5g}{why}"),
             ("planes", f"{len(self.residual_maps)}, scale {self.scale:.4g}"),
         ]

@@ -48,8 +48,9 @@ class Shape(ABC):
     Attributes
     ----------
     terms : ndarray, shape (n,) or (trials, n)
-        Parameters of the shape, in the order of `TERMS`, which may be longer. The first is the curvature of
-        the y-z meridian in 1/mm. A leading axis holds many perturbed copies.
+        Parameters of the shape, in the order of `TERMS`, which may be longer. The first is the curvature in
+        1/mm of the conic or sphere, in the y-z meridian, to which others add. A leading axis holds many
+        perturbed copies.
     """
 
     terms: Array

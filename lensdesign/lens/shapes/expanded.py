@@ -6,14 +6,15 @@ Rays are traced with the other formula. A change of a term is the same combinati
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
 from lensdesign.lens.shapes.base import FormulaShape, Shape
 
 
@@ -40,6 +41,26 @@ class ExpandedShape(Shape):
     @cached_property
     def _expansion(self) -> Array:
         return self.expansion(self.terms.shape[-1], self.normalization_radius_mm)
+
+    def renormalized(self, normalization_radius_mm: float) -> Self:
+        """Return the same surface with another normalization radius.
+
+        Raises
+        ------
+        InputError
+            If no values of the terms give this surface.
+        """
+        matrix = self.expansion(self.terms.shape[-1], normalization_radius_mm)
+        wanted = self.traced.terms
+        size = np.linalg.norm(matrix, axis=1)
+        terms = np.linalg.lstsq(matrix / size[:, None], wanted / size, rcond=None)[0]
+        rounding = 1e-9
+        if np.any(np.abs(matrix @ terms - wanted) > rounding * size * np.abs(terms).max()):
+            raise InputError(
+                f"a surface of shape {self.NAME} has no other normalization radius: its departure ends at a "
+                "normalization radius of its own"
+            )
+        return replace(self, terms=terms, normalization_radius_mm=normalization_radius_mm)
 
     @cached_property
     def traced(self) -> FormulaShape:
@@ -82,7 +103,8 @@ def powers_of_r(coefficients: Any, first_power: int, normalization_radius_mm: fl
     first_power
         Lowest power.
     normalization_radius_mm
-        The normalization radius r_norm.
+        The normalization radius r_norm; the result is not finite if it is far too small.
     """
     powers = first_power + 2 * np.arange(len(coefficients))
-    return np.asarray(coefficients / normalization_radius_mm ** powers[:, None], float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(coefficients / normalization_radius_mm ** powers[:, None], float)

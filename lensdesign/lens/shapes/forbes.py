@@ -75,14 +75,12 @@ def _coefficients(polynomials: tuple[Polynomial, ...]) -> Array:
 
 
 class _ForbesShape(ExpandedShape):
-    """What both kinds share: keys and their changes."""
-
-    PARAMETERS: ClassVar[tuple[str, ...]] = ()
+    """A Forbes asphere of either kind, with its keys and their changes."""
 
     @classmethod
     def of_keys(cls, values: Mapping[str, Any]) -> Self:
-        base = [values[key] for key in cls.KEYS if key == "conic"]
-        terms = np.array([curvature_of(values["radius_mm"]), *base, *values["q_mm"]])
+        conic = [values["conic"]] if "conic" in cls.KEYS else []
+        terms = np.array([curvature_of(values["radius_mm"]), *conic, *values["q_mm"]])
         return cls(terms, values["normalization_radius_mm"])
 
     @classmethod
@@ -141,7 +139,7 @@ class Qcon(_ForbesShape):
 
 
 class Qbfs(_ForbesShape):
-    """Forbes asphere on the best-fit sphere, orthogonal in slope: for mild departures."""
+    """Forbes asphere on the sphere through vertex and rim, orthogonal in slope: for mild departures."""
 
     NAME = "Qbfs"
     KEYS: ClassVar[tuple[str, ...]] = ("radius_mm", "normalization_radius_mm", "q_mm")
@@ -162,4 +160,5 @@ class Qbfs(_ForbesShape):
         return self.NAME if np.any(self._q_mm) else self.traced.kind
 
     def drawn(self) -> DrawnTerms:
-        return self._drawn("u^2 (1 − u^2) / √(1 − r^2/R^2) Σ q_m Qbfs_m (u^2)")
+        cosine = " / √(1 − r^2/R^2)" if self.terms[0] else ""
+        return self._drawn(f"u^2 (1 − u^2){cosine} Σ q_m Qbfs_m (u^2)")

@@ -40,10 +40,11 @@ def asphere_panel(
         cell(Area(area.left, top, area.right, area.top), f"{name}: {surface.kind}; r, z in mm", 3.0)
     ]
     drawn = surface.shape.drawn()
-    formula, rows_of_formula = _formula(surface.radius_mm is not None, drawn, Area(*area[:3], top))
+    conic = surface.conic if "conic" in surface.shape_keys else None
+    formula, rows_of_formula = _formula(surface.radius_mm, conic, drawn, Area(*area[:3], top))
     items += formula
     top -= rows_of_formula * LINE_MM
-    constants = _constants(surface.radius_mm, surface.conic, drawn, conic_tolerance)
+    constants = _constants(surface.radius_mm, conic, drawn, conic_tolerance)
     # Largest number of constants in a column.
     max_rows = 11
     columns = 1 if len(constants) <= max_rows else 2
@@ -63,11 +64,12 @@ def asphere_panel(
 
 
 def _constants(
-    radius: float | None, conic: float, drawn: DrawnTerms, conic_tolerance: float | None
+    radius: float | None, conic: float | None, drawn: DrawnTerms, conic_tolerance: float | None
 ) -> list[str]:
     """Return the constants of the formula as texts, for r and z in mm."""
     allowed = "" if conic_tolerance is None else f" ±{conic_tolerance:g}"
-    base = [] if radius is None else [f"R = {radius:.10g}", f"k = {conic:.10g}{allowed}"]
+    base = [] if radius is None else [f"R = {radius:.10g}"]
+    base += [] if radius is None or conic is None else [f"k = {conic:.10g}{allowed}"]
     return base + [f"{_typeset(symbol)} = {value:.10g}" for symbol, value in drawn.constants]
 
 
@@ -78,12 +80,15 @@ def _typeset(formula: str) -> str:
     return re.sub(r"_m\b", "ₘ", lowered).replace("r_N", "rₙ")
 
 
-def _formula(curved: bool, drawn: DrawnTerms, area: Area) -> tuple[list[Item], float]:
+def _formula(
+    radius: float | None, conic: float | None, drawn: DrawnTerms, area: Area
+) -> tuple[list[Item], float]:
     """Draw the formula z(r) with a fraction bar; return also its height in lines.
 
     Terms that would make it small stand on a line of their own.
     """
-    above, below = "r²", "R (1 + √(1 − (1 + k) r²/R²))"
+    curved, above = radius is not None, "r²"
+    below = f"R (1 + √(1 − {'' if conic is None else '(1 + k) '}r²/R²))"
     terms, width_mm = _typeset(drawn.formula), area.width - 4.0
     head, tail = "z(r) = ", f" + {terms}" if terms and curved else terms
     conic_mm = text_width_mm(head + (below if curved else ""), 1.0)

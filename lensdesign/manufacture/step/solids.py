@@ -32,7 +32,7 @@ def element_solid(element: Element) -> Any:
     Raises
     ------
     InputError
-        If an even asphere cannot be approximated, or the rim is too short for a solid.
+        If an asphere cannot be approximated, or the rim is too short for a solid.
     """
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace, BRepBuilderAPI_MakeWire
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeRevol
@@ -88,7 +88,7 @@ def conic_bezier(meridian: SurfaceMeridian) -> tuple[Array, Array]:
     weights : ndarray, shape (3,)
         Weights of the control points.
     """
-    c, conic, r = *meridian.shape.terms[:2], meridian.end_mm
+    (c, conic), r = meridian.shape.start(meridian.shape.terms), meridian.end_mm
     equator = meridian.shape.edge_radius_mm
     # The meridian uses the same angle; another formula would differ by rounding near the equator.
     q = (
@@ -102,7 +102,7 @@ def conic_bezier(meridian: SurfaceMeridian) -> tuple[Array, Array]:
 
 
 def asphere_spline(meridian: SurfaceMeridian, error_mm: float = 1e-7) -> tuple[Array, Array]:
-    """Return knots and control points of a spline of degree 5 that approximates an even asphere's meridian.
+    """Return knots and control points of a spline of degree 5 that approximates an asphere's meridian.
 
     The spline interpolates the meridian and its mirror image, so that the surface is as smooth at the vertex
     as elsewhere (four continuous derivatives). It has as many equal intervals as its measured error requires.
@@ -135,7 +135,7 @@ def asphere_spline(meridian: SurfaceMeridian, error_mm: float = 1e-7) -> tuple[A
             return knots, points
         intervals += intervals // 2
     raise InputError(
-        f"the even asphere cannot be approximated within {error_mm:g} mm by {max_intervals} spline "
+        f"the asphere cannot be approximated within {error_mm:g} mm by {max_intervals} spline "
         f"intervals: {error:.3g} mm reached"
     )
 

@@ -98,7 +98,7 @@ def write_step(
 ) -> StepReport:
     """Write the glass of a lens to a STEP file (AP214, mm) with one named solid for each element.
 
-    Planes, spheres and conics are exact; even aspheres are splines within 1e-7 mm. The file is read back and
+    Planes, spheres and conics are exact; aspheres are splines within 1e-7 mm. The file is read back and
     measured before it replaces an existing one. The same lens yields identical bytes. The bodies have the
     edges that `lens` defines; :func:`lensdesign.analysis.outline.drawn_outline` returns the lens with the
     edges of its drawing.

@@ -105,6 +105,41 @@ def test_gradients_all_round_a_biconic(biconic: Specification) -> None:
     assert_gradients(problem, point, rays)
 
 
+@pytest.fixture(scope="module")
+def forbes(thinnest: Specification) -> Specification:
+    """The paper's lens with two Forbes aspheres."""
+    keys = {"normalization_radius_mm": 10.0, "semi_diameter_mm": 10.0}
+    surfaces = thinnest.with_surface(0, shape="Qbfs", q_mm=(0.01, 0.002), **keys).with_surface(
+        1, shape="Qcon", radius_mm=-12.0, conic=-0.9, q_mm=(0.02, -0.004), **keys
+    )
+    return changed(
+        surfaces,
+        optimize=Settings(goal="smallest spread", stop="numerical aperture", starts=1),
+        constraints=Constraints(max_spread_deg="none", min_throughput=0.8),
+        variables=(
+            VariableRange(parameter="radius_mm", surface=1, smallest_radius_mm=10.0),
+            VariableRange(parameter="q_0_mm", surface=1, bounds=(-0.1, 0.1)),
+            VariableRange(parameter="q_1_mm", surface=1, bounds=(-0.01, 0.01)),
+            VariableRange(parameter="conic", surface=2, bounds=(-5.0, 1.0)),
+            VariableRange(parameter="q_1_mm", surface=2, bounds=(-0.01, 0.01)),
+            VariableRange(parameter="thickness_mm", surface=1, bounds=(8.0, 12.0)),
+        ),
+    )
+
+
+def test_gradients_by_terms_of_forbes_aspheres(forbes: Specification) -> None:
+    problem = DesignProblem(forbes, forbes.lens)
+    assert_gradients(problem, problem.to_unit(forbes.lens), problem.sample_rays(3, 5, 2))
+
+
+def test_a_search_by_terms_of_forbes_aspheres_lowers_the_spread(forbes: Specification) -> None:
+    found = optimize(forbes)
+    before = largest_spread_angle(forbes.lens, 0.532).spread_deg
+    assert found.goal_value < 0.97 * before
+    assert largest_spread_angle(found.lens, 0.532).spread_deg == pytest.approx(found.goal_value, abs=1e-4)
+    assert found.lens.surfaces[1].q_mm != forbes.lens.surfaces[1].q_mm
+
+
 def test_a_biconic_is_judged_all_round(biconic: Specification) -> None:
     """What the search holds for the largest spread is what a check finds over all directions."""
     found = optimize(biconic)

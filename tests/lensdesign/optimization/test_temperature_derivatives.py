@@ -65,6 +65,24 @@ def test_gradients_at_temperatures(thinnest: Specification, stop: str) -> None:
     assert_gradients_agree(asked, np.array([0.57, 0.11, 0.7, 0.4, 0.52, 0.6]))
 
 
+def test_gradients_by_terms_of_forbes_aspheres_at_temperatures(thinnest: Specification) -> None:
+    keys = {"normalization_radius_mm": 10.0, "semi_diameter_mm": 10.0}
+    asked = thinnest.with_surface(0, shape="Qbfs", q_mm=(0.01, 0.002), **keys).with_surface(
+        1, shape="Qcon", q_mm=(0.02, -0.004), **keys
+    )
+    asked = asked.replaced(
+        optimize=Settings(goal="smallest spread", stop="numerical aperture"),
+        constraints=Constraints(min_throughput=0.8),
+        variables=(
+            VariableRange(parameter="radius_mm", surface=1, smallest_radius_mm=10.0),
+            VariableRange(parameter="q_0_mm", surface=1, bounds=(-0.1, 0.1)),
+            VariableRange(parameter="q_1_mm", surface=2, bounds=(-0.01, 0.01)),
+            *thinnest.variables[1:],
+        ),
+    )
+    assert_gradients_agree(asked, DesignProblem(asked, asked.lens).to_unit(asked.lens))
+
+
 def test_gradients_of_a_variable_field_at_temperatures(thinnest: Specification) -> None:
     field = VariableRange(parameter="field_diameter_mm", bounds=(2.0, 6.0))
     asked = thinnest.replaced(

@@ -9,6 +9,8 @@ from places import DESIGNS
 from lensdesign.errors import InputError
 from tolerancing.cost import cost_of, load_costs
 from tolerancing.cost.table import RELATIVE
+from tolerancing.perturbations.distributions import Uniform
+from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.study.files import load_study
 
 LOADED = load_study(DESIGNS / "paper_tolerances.toml")
@@ -36,6 +38,15 @@ def test_the_papers_tolerances_are_priced_as_the_law_says():
     conic = line(cost, "surface_2_conic")
     assert conic.tolerance == pytest.approx(1e3 * 0.0006 * 10.0**4 / (8.0 * 12.0**3))
     assert cost.total == pytest.approx(1.0 + sum(own.cost for own in cost.lines))
+
+
+def test_terms_of_a_forbes_asphere_are_tolerances_of_form():
+    keys = {"shape": "Qcon", "normalization_radius_mm": 10.0, "q_mm": (0.02,)}
+    lens = LOADED.lens.with_surface(1, **keys)
+    term = Perturbation(target="surface 2", parameter="q_0_mm", distribution=Uniform(half_width=0.0003))
+    own = line(cost_of(LOADED.study.replaced(perturbations=(term,)), lens, TABLE), "surface_2_q_0_mm")
+    assert own.process == "polished_glass"
+    assert own.tolerance == pytest.approx(0.3)
 
 
 @given(st.lists(st.floats(1e-4, 1.0), min_size=12, max_size=12))

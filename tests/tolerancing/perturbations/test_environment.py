@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lensdesign.errors import DesignError
+from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.temperature import lens_at_temperature
 from tolerancing.merits.sensor_rays import arriving_rays
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -28,9 +28,16 @@ def glass(write_study, ray_study):
     return load_study(write_study(HEAD + HEAT + SPREAD, DESIGN.replace("1.5194726", '"N-BK7"')))
 
 
-@pytest.mark.parametrize("asphere", [(), (1e-6, -2e-9)])
-def test_rays_are_those_of_the_lens_at_that_temperature(glass, asphere):
-    lens = glass.lens.with_surface(0, asphere=asphere)
+FORMS = [
+    {},
+    {"asphere": (1e-6, -2e-9)},
+    {"shape": "Qcon", "normalization_radius_mm": 6.0, "q_mm": (0.05, -0.01)},
+]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_rays_are_those_of_the_lens_at_that_temperature(glass, form):
+    lens = glass.lens.with_surface(0, **form)
     heat = PerturbedParameter(target="environment", parameter="temperature_c")
     change = np.array([[-20.0], [0.0], [30.0]])
     batch = PerturbationBatch((heat,), change)
@@ -48,6 +55,13 @@ def test_rays_are_those_of_the_lens_at_that_temperature(glass, asphere):
         expected = alone.position_mm[0] + slope * (planes.mean() - planes[0])
         assert found.position_mm[k] == pytest.approx(expected, abs=2e-9)
         assert found.direction[k] == pytest.approx(alone.direction[0], abs=1e-10)
+
+
+def test_a_shape_whose_departure_moves_is_refused(glass):
+    lens = glass.lens.with_surface(0, shape="Qbfs", normalization_radius_mm=6.0, q_mm=(0.05,))
+    heat = PerturbedParameter(target="environment", parameter="temperature_c")
+    with pytest.raises(InputError, match=r"surface 1: a study cannot change its temperature.*Qcon"):
+        PerturbationBatch((heat,), np.array([[30.0]])).states(lens, 0.532)
 
 
 def test_a_study_scatters_over_temperatures(glass):

@@ -68,6 +68,14 @@ def test_a_biconic_gets_tolerances_along_both_axes():
     assert len([t for t in study["perturbation"] if t["parameter"] == "decenter_x_mm"]) == 3
 
 
+def test_a_qbfs_has_no_tolerance_of_a_conic():
+    keys = {"conic": 0.0, "normalization_radius_mm": 10.0, "q_mm": (0.02,)}
+    lens = load_design(DESIGNS / "paper_singlet.toml").with_surface(1, shape="Qbfs", **keys)
+    study = read(lens, "precision")
+    assert not [t for t in study["perturbation"] if t["parameter"].startswith("conic")]
+    assert found(study, "surface 2", "decenter_x_mm")
+
+
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(lens=lenses(), grade=st.sampled_from(list(GRADES)))
 def test_studies_of_random_lenses_read_back(lens, grade):

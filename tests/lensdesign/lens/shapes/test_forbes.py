@@ -9,6 +9,7 @@ import pytest
 from scipy.special import eval_jacobi
 
 from lensdesign import InputError, Lens, Surface, trace
+from lensdesign.lens.shapes.expanded import ExpandedShape
 from lensdesign.lens.shapes.forbes import MOST_Q_TERMS, qbfs_polynomials, qcon_polynomials
 
 U2 = np.linspace(0.0, 1.0, 41)
@@ -89,6 +90,36 @@ def test_a_normalization_radius_is_needed() -> None:
         Surface(shape="Qcon", radius_mm=9.0, q_mm=(0.01,))
     with pytest.raises(ValueError, match=r"q_mm .* a surface of shape conic has none"):
         Surface(radius_mm=9.0, q_mm=(0.01,))
+
+
+def test_a_shape_with_all_keys_is_proposed() -> None:
+    with pytest.raises(
+        ValueError, match=r'conic = -0\.5: a surface of shape Qbfs has none; write shape = "Qcon"'
+    ):
+        Surface(shape="Qbfs", radius_mm=9.0, conic=-0.5, normalization_radius_mm=4.0, q_mm=(0.01,))
+
+
+def test_apertures_where_the_formula_has_no_meaning_are_refused() -> None:
+    keys = {"shape": "Qbfs", "radius_mm": 9.0, "q_mm": (0.01,) * 10}
+    with pytest.raises(ValueError, match="is the radius of the sphere"):
+        Surface(**keys, normalization_radius_mm=8.0, semi_diameter_mm=9.0)
+    with pytest.raises(ValueError, match="more than 2 times larger"):
+        Surface(**keys, normalization_radius_mm=2.0, semi_diameter_mm=5.0)
+    with pytest.raises(ValueError, match="normalization_radius_mm = 1e-58: too small"):
+        Surface(**keys, normalization_radius_mm=1e-58)
+
+
+def test_a_qcon_has_any_normalization_radius_and_a_qbfs_its_own() -> None:
+    qcon = Surface(shape="Qcon", radius_mm=9.0, normalization_radius_mm=4.0, q_mm=(0.05, -0.02, 0.01)).shape
+    r = np.linspace(0.0, 4.0, 9)
+    assert isinstance(qcon, ExpandedShape)
+    other = qcon.renormalized(3.7)
+    np.testing.assert_allclose(other.sag(0.0, r), qcon.sag(0.0, r), atol=1e-15)
+    assert not np.allclose(other.terms, qcon.terms)
+    qbfs = Surface(shape="Qbfs", radius_mm=9.0, normalization_radius_mm=4.0, q_mm=(0.05,)).shape
+    assert isinstance(qbfs, ExpandedShape)
+    with pytest.raises(InputError, match="has no other normalization radius"):
+        qbfs.renormalized(3.999)
 
 
 def test_a_zemax_file_holds_a_qcon_as_an_even_asphere_of_seven_terms() -> None:
