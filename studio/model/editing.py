@@ -205,9 +205,9 @@ def with_shape(tables: Tables, index: int, shape: str) -> Tables:
     changed = deepcopy(tables)
     surface = changed["surface"][index]
     before, keys = surface.get("shape"), set(shape_class(shape).KEYS)
-    for one in SHAPES:
-        for key in {"shape", *shape_class(one).KEYS} - keys - {"radius_mm", "conic"}:
-            surface.pop(key, None)
+    others = {key for one in SHAPES for key in shape_class(one).KEYS} - keys - {"radius_mm", "conic"}
+    for key in ("shape", *others):
+        surface.pop(key, None)
     if shape == "even asphere":
         surface["asphere"] = [0.0]
     elif "q_mm" in keys:

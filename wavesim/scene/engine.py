@@ -99,6 +99,14 @@ class Grids(Protocol):
     def exit_grid(self) -> Grid: ...
 
 
+@dataclass(frozen=True)
+class GridPair:
+    """Object grid and exit grid of an operator that has no scene of its own."""
+
+    object_grid: Grid
+    exit_grid: Grid
+
+
 class Operator(Protocol):
     """The part of an engine that a reconstruction uses: its grids, `forward` and `adjoint`."""
 

@@ -66,9 +66,15 @@ def qbfs_polynomials() -> tuple[Polynomial, ...]:
     return tuple(found)
 
 
-def _coefficients(polynomials: tuple[Polynomial, ...]) -> Array:
-    """Return the coefficients of polynomials as columns of a matrix."""
-    matrix = np.zeros((max((len(p.coef) for p in polynomials), default=0), len(polynomials)))
+@cache
+def _coefficients(name: str) -> Array:
+    """Return the coefficients of the departure of each term by powers of u^2, as columns.
+
+    They are those of Qcon, over u^4, and of (1 - u^2) Qbfs, over u^2.
+    """
+    part = Polynomial([1.0, -1.0])
+    polynomials = qcon_polynomials() if name == "Qcon" else [part * one for one in qbfs_polynomials()]
+    matrix = np.zeros((len(polynomials[-1].coef), MOST_Q_TERMS))
     for column, polynomial in enumerate(polynomials):
         matrix[: len(polynomial.coef), column] = polynomial.coef
     return matrix
@@ -119,7 +125,7 @@ class Qcon(_ForbesShape):
 
     @staticmethod
     def expansion(count: int, normalization_radius_mm: float) -> Array:
-        of_u = _coefficients(qcon_polynomials()[: count - 2])
+        of_u = _coefficients("Qcon")[: count - 2, : count - 2]
         matrix = np.eye(2 + len(of_u), count)
         matrix[2:, 2:] = powers_of_r(of_u, 4, normalization_radius_mm)
         return matrix
@@ -149,8 +155,7 @@ class Qbfs(_ForbesShape):
 
     @staticmethod
     def expansion(count: int, normalization_radius_mm: float) -> Array:
-        part = Polynomial([1.0, -1.0])
-        of_u = _coefficients(tuple(part * one for one in qbfs_polynomials()[: count - 1]))
+        of_u = _coefficients("Qbfs")[:count, : count - 1]
         matrix = np.eye(1 + len(of_u), count)
         matrix[1:, 1:] = powers_of_r(of_u, 2, normalization_radius_mm)
         return matrix

@@ -21,7 +21,7 @@ from tolerancing.merits.reconstruction.objects import LineObject, LineScores, Ob
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.reconstruction.object_solver import reconstruct
-from wavesim.scene.engine import Engine, Grids, Operator
+from wavesim.scene.engine import Engine, GridPair, Grids, Operator
 from wavesim.scene.patches import OBJECT_FINENESS
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
@@ -318,14 +318,6 @@ class LineImagingChain:
         ]
 
 
-@dataclass(frozen=True)
-class _Grids:
-    """The grid of a shifted object, and the exit grid of its operator."""
-
-    object_grid: Grid
-    exit_grid: Grid
-
-
 class RefocusedOperator:
     """Operator from an object plane that is shifted along the axis.
 
@@ -342,7 +334,7 @@ class RefocusedOperator:
     def __init__(self, operator: Operator, towards_lens_mm: float, wavelength_um: float) -> None:
         self.operator, grid = operator, operator.scene.object_grid
         shifted = grid.at(grid.z_mm + towards_lens_mm)
-        self.scene: Grids = _Grids(shifted, operator.scene.exit_grid)
+        self.scene: Grids = GridPair(shifted, operator.scene.exit_grid)
         self._to_operator = FreeSpacePropagator(shifted, grid, wavelength_um)
 
     def forward(self, field: Field) -> Field:

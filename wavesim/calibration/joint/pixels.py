@@ -43,7 +43,7 @@ from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
-from wavesim.scene.engine import Engine, Grids, Operator
+from wavesim.scene.engine import Engine, GridPair, Grids, Operator
 from wavesim.scene.light_errors import Orders, light_mode
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import SystemState
@@ -271,16 +271,8 @@ def stepped(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
     return unknowns.changed([parameter.name], [here + parameter.small])
 
 
-@dataclass(frozen=True)
-class _Grids:
-    """Grids of the object, and of the pixels of all planes as rows of one field."""
-
-    object_grid: Grid
-    exit_grid: Grid
-
-
 class TilesToPlanes:
-    """Tiles to each plane, combined to one operator.
+    """Tiles to each plane, combined to one operator; the pixels of all planes are rows of one field.
 
     Parameters
     ----------
@@ -293,7 +285,7 @@ class TilesToPlanes:
         first = planes[0].scene
         rows, columns = first.exit_grid.shape
         grid = replace(first.exit_grid, shape=(len(planes) * rows, columns))
-        self.scene: Grids = _Grids(first.object_grid, grid)
+        self.scene: Grids = GridPair(first.object_grid, grid)
 
     def forward(self, field: Field) -> Field:
         """Propagate a field from the object to the pixels of all planes."""
