@@ -45,26 +45,32 @@ def for_blocks(
     found: list[Any] = [None] * len(starts)
     remaining = iter(enumerate(starts))  # the next block goes to a free thread, since cores differ in speed
 
-    def one_thread(_: int) -> None:
+    def one_thread() -> None:
         try:
             for number, start in remaining:
                 found[number] = work(start, min(start + block, count))
         finally:  # after a failure no thread starts another block
             deque(remaining, 0)
 
-    _each(one_thread, max(1, min(most_threads, len(starts))))
+    _in_threads(one_thread, max(1, min(most_threads, len(starts))))
     return found
 
 
-def _each(work: Callable[[int], Result], threads: int) -> list[Result]:
-    """Return the results of a function for every index from 0 on, each in a thread, the first in this one."""
+def _in_threads(work: Callable[[], None], threads: int) -> None:
+    """Call a function that does what is left in several threads, among them this one."""
     if threading.current_thread().name.startswith(_KEPT):  # a thread must not wait for others of its own pool
-        return [work(number) for number in range(threads)]
-    running = [_pool(threads - 1).submit(work, number) for number in range(1, threads)]
+        work()
+        return
+    running = [_pool(threads - 1).submit(work) for _ in range(threads - 1)]
     try:
-        return [work(0), *(one.result() for one in running)]
-    finally:  # an exception must not reach the caller while other threads still write
-        wait(running)
+        work()
+    finally:
+        # Threads that still work for a caller's caller find nothing left; waiting for them would take long.
+        # Others must end before an exception reaches the caller, because they still write.
+        started = [one for one in running if not one.cancel()]
+        wait(started)
+    for one in started:
+        one.result()
 
 
 _KEPT = "transferlens-share"

@@ -89,3 +89,17 @@ def test_a_forked_process_has_threads_of_its_own(monkeypatch: pytest.MonkeyPatch
 def test_a_block_has_a_row_at_least() -> None:
     assert rows_in(10**9) == 1
     assert rows_in(1000, 10_000) == 10
+
+
+def test_work_of_the_calling_thread_does_not_wait_for_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "THREADS", 2)
+    caller, done = threading.current_thread(), threading.Event()
+
+    def work(start: int, _: int) -> None:
+        if threading.current_thread() is caller:
+            for_blocks(lambda a, _: a, 4, 1, 2)  # while the other thread works, and waits for this one
+            done.set()
+        else:
+            assert done.wait(10.0)
+
+    for_blocks(work, 2, 1, 2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.forward.linear_model import LinearModel, RealArray
+from wavesim.runtime.threads import at_once
 
 DAMPING = 0.03
 """Damping: fraction of the squared misfit that a step by the typical deviation of a parameter costs.
@@ -188,17 +190,17 @@ class GaussNewtonStep:
             if not followed.shape[1]:
                 break
             effects = self._unit_combinations(remaining, followed)
-            for effect in effects:
-                gradient = (
-                    self._object_part(self.linear.adjoint_to_object(effect.reshape(shape)))
-                    * self.free_samples
-                )
-                effect[:] = self.linear.jacobian_times_object(gradient).ravel()
+            at_once([partial(self._make_compensation, effect.reshape(shape)) for effect in effects])
             if previous is not None:
                 effects -= _combined(previous, _products(effects, previous))
             previous = _orthonormal(effects)
             remaining -= _combined(previous, _products(remaining, previous))
         return remaining
+
+    def _make_compensation(self, effect: RealArray) -> None:
+        """Replace a change of the amplitudes by that of the object which the misfit's gradient proposes."""
+        gradient = self._object_part(self.linear.adjoint_to_object(effect)) * self.free_samples
+        effect[:] = self.linear.jacobian_times_object(gradient)
 
     def _precision(self, columns: RealArray) -> Array:
         """Return the precision that columns give to the parameters, in units of that of their priors."""
