@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign import Lens
+from lensdesign import Lens, Surface
 
 Array = NDArray[np.float64]
 
@@ -69,16 +69,7 @@ class OptilandTracer:
         media = [make_medium(float(index)) for index in lens.indices(wavelength_um)[1:]]
         vertices = lens.vertex_z_mm
         for i, (surface, z, medium) in enumerate(zip(lens.surfaces, vertices, media, strict=True), start=1):
-            radius = np.inf if surface.radius_mm is None else surface.radius_mm
-            # Optiland's first coefficient is that of r^2. Its own tolerance leaves errors of 1e-7 mm.
-            asphere = (
-                {"surface_type": "even_asphere", "coefficients": [0.0, *surface.asphere], "tol": 1e-12}
-                if surface.asphere
-                else {}
-            )
-            surfaces.add(
-                index=i, z=z, radius=radius, conic=surface.conic, material=medium, is_stop=i == 1, **asphere
-            )
+            surfaces.add(index=i, z=z, material=medium, is_stop=i == 1, **optiland_shape(surface))
         surfaces.add(index=len(media) + 1, z=plane_z_mm)
         self.surfaces = surfaces
         # Releases before 0.6.3 always record.
@@ -145,6 +136,32 @@ class OptilandTracer:
     def result(self) -> tuple[Array, Array]:
         rays = self.rays
         return np.column_stack([rays.x, rays.y, rays.z]), np.column_stack([rays.L, rays.M, rays.N])
+
+
+def optiland_shape(surface: Surface) -> dict[str, Any]:
+    """A surface's shape as arguments of Optiland. Its own tolerance would leave errors of 1e-7 mm."""
+    radius = np.inf if surface.radius_mm is None else surface.radius_mm
+    own = {"radius": radius, "conic": surface.conic, "tol": 1e-12}
+    across = np.inf if surface.radius_x_mm is None else surface.radius_x_mm
+    match surface.shape_class.NAME:
+        case "conic":
+            return {"radius": radius, "conic": surface.conic}
+        case "even asphere":  # its first coefficient is that of r^2
+            return {**own, "surface_type": "even_asphere", "coefficients": [0.0, *surface.asphere]}
+        case "odd asphere":  # from r on
+            return {**own, "surface_type": "odd_asphere", "coefficients": [0.0, 0.0, *surface.odd_asphere]}
+        case "Qcon":
+            coefficients = [0.0, *surface.shape.traced.terms[2:].tolist()]
+            return {**own, "surface_type": "even_asphere", "coefficients": coefficients}
+        case "Qbfs":
+            terms = dict(enumerate(surface.q_mm))
+            norm = surface.normalization_radius_mm
+            return {**own, "surface_type": "forbes_qbfs", "radial_terms": terms, "norm_radius": norm}
+        case "toroid":
+            powers = [0.0, *surface.asphere]
+            own |= {"radius_x": across, "radius_y": radius, "toroidal_coeffs_poly_y": powers}
+            return {"surface_type": "toroidal", **own}
+    raise SystemExit(f"Optiland: no counterpart of shape {surface.shape_class.NAME}")
 
 
 class PrysmTracer:

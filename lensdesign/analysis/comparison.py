@@ -10,6 +10,7 @@ from lensdesign.analysis.report import CheckReport
 from lensdesign.common.text import unit_symbol
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import COEFFICIENTS, length_power
 from lensdesign.lens.solid import glass_elements
 from lensdesign.raytrace.paths import sized_lens
 
@@ -88,13 +89,11 @@ def _surface_values(lens: Lens) -> _Values:
     for i, surface in enumerate(lens.surfaces, start=1):
         given = surface.model_dump(exclude_defaults=True, exclude={"figure", "stop"})
         for key, value in given.items():
-            if key == "q_mm":
-                found |= {f"surface {i} Q{k}, mm": (float(q), None) for k, q in enumerate(value)}
-            elif key == "asphere":
-                found |= {
-                    f"surface {i} r^{2 * k + 4}, mm^-{2 * k + 3}": (float(v), None)
-                    for k, v in enumerate(value)
-                }
+            if key in COEFFICIENTS:
+                for term, coefficient in zip(COEFFICIENTS[key], value, strict=False):
+                    power = length_power(term)
+                    name = f"surface {i} {surface.shape_class.coefficient_label(term)}"
+                    found[f"{name}, mm{'' if power == 1 else f'^{power}'}"] = (float(coefficient), None)
             else:
                 label, _, unit = key.replace("_", " ").rpartition(" mm")
                 name = (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import FormulaShape
+from lensdesign.lens.shapes.base import Section
 from lensdesign.lens.surface import Surface
 
 
@@ -39,54 +39,44 @@ class SurfaceMeridian:
     azimuth_rad: float = 0.5 * math.pi
 
     @cached_property
-    def shape(self) -> FormulaShape:
-        """The surface of revolution that has this meridian."""
+    def section(self) -> Section:
+        """Section of the surface at the azimuth."""
         return self.surface.shape.section(self.azimuth_rad)
-
-    @cached_property
-    def _conic(self) -> tuple[float, float]:
-        """Curvature and conic constant."""
-        c, conic = self.shape.start(self.shape.terms)
-        return float(c), float(conic)
-
-    @cached_property
-    def _edge_mm(self) -> float:
-        return self.shape.edge_radius_mm
 
     @property
     def _scale(self) -> float:
         """Eccentric angle at t = 1, or the radial height where the conic has no edge."""
-        edge = self._edge_mm
+        edge = self.section.edge_radius_mm
         return math.asin(min(1.0, self.end_mm / edge)) if math.isfinite(edge) else self.end_mm
 
     def points(self, t: Any) -> Array:
         """Return the radial height and z in mm at parameters t, shape (..., 2)."""
-        c, conic = self._conic
+        c, conic = self.section.curvature, self.section.conic
         u = self._scale * np.asarray(t, float)
-        edge = self._edge_mm
+        edge = self.section.edge_radius_mm
         r, root = (
             (edge * np.sin(u), np.cos(u))
             if math.isfinite(edge)
             else (u, np.sqrt(1.0 - (1.0 + conic) * c * c * u * u))
         )
-        z = self.vertex_z_mm + c * r * r / (1.0 + root) + self.shape.departure(r)[0]
+        z = self.vertex_z_mm + c * r * r / (1.0 + root) + self.section.departure(r)[0]
         return np.stack([r, z], axis=-1)
 
     def tangents(self, t: Any) -> Array:
         """Return the derivatives of :meth:`points` with respect to t, in mm."""
-        c, conic = self._conic
+        c, conic = self.section.curvature, self.section.conic
         u = self._scale * np.asarray(t, float)
-        edge = self._edge_mm
+        edge = self.section.edge_radius_mm
         if math.isfinite(edge):
             r, dr, dz = edge * np.sin(u), edge * np.cos(u), c * edge * edge * np.sin(u)
         else:
             r, dr, dz = u, np.ones_like(u), c * u / np.sqrt(1.0 - (1.0 + conic) * c * c * u * u)
-        dz = dz + dr * self.shape.departure(r)[1]
+        dz = dz + dr * self.section.departure(r)[1]
         return self._scale * np.stack([dr, dz], axis=-1)
 
     def parameters(self, r_mm: Any) -> Array:
         """Return the parameters t at radial heights, clipped to 0 ... 1."""
-        r, edge = np.asarray(r_mm, float), self._edge_mm
+        r, edge = np.asarray(r_mm, float), self.section.edge_radius_mm
         u = np.arcsin(np.clip(r / edge, 0.0, 1.0)) if math.isfinite(edge) else r
         return np.clip(u / self._scale, 0.0, 1.0)
 

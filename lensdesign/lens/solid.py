@@ -380,7 +380,7 @@ def _check_bevels(element: Element) -> None:
     sides = zip((element.front, element.back), element.edge.sides(), (1.0, -1.0), strict=True)
     for i, (meridian, (_, bevel_mm), inward) in zip(element.surfaces, sides, strict=True):
         end = meridian.end_mm
-        slope = inward * float(meridian.shape.sag_and_slopes(0.0, end)[2])
+        slope = inward * float(meridian.section.sag_and_slope(end)[1])
         if bevel_mm and end >= element.edge_mm - bevel_mm and not slope < 1.0:
             raise InputError(
                 f"{element.name}: a bevel at 45 degrees removes no glass from surface {i + 1}, whose slope "

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
-from lensdesign.lens.shapes.base import Shape, term_of
+from lensdesign.lens.shapes.base import COEFFICIENTS, Shape, azimuths_rad, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
 from lensdesign.lens.surface_figure_source import SurfaceFigureSource
 
@@ -27,12 +27,15 @@ class Surface(FrozenModel):
     conic
         Conic constant.
     asphere
-        Coefficients of r^4, r^6, ... of an even asphere, in mm^-3, mm^-5, ...
+        Coefficients of r^4, r^6, ... of an even asphere, in mm^-3, mm^-5, ...; those of y^4, ... of a toroid.
     shape_type
         Name of the shape in :mod:`lensdesign.lens.shapes.registry`; its key in a file is `shape`. None means
         an even asphere if `asphere` is given, else a conic.
     radius_x_mm, conic_x
-        Radius and conic constant of a biconic along x; `radius_mm` and `conic` are those along y.
+        Radius and conic constant of a biconic along x; `radius_mm` and `conic` are those along y. The radius
+        of a toroid along x is that of its rotation.
+    odd_asphere
+        Coefficients of r^3, r^4, ... of an odd asphere, in mm^-2, mm^-3, ...
     normalization_radius_mm, q_mm
         Normalization radius and coefficients of a Forbes asphere (``Qcon`` or ``Qbfs``). `radius_mm` is that
         of the conic or sphere, to which the polynomials add.
@@ -57,12 +60,13 @@ class Surface(FrozenModel):
 
     radius_mm: Finite | None = None
     conic: Finite = 0.0
-    asphere: Annotated[tuple[Finite, ...], Field(max_length=20)] = ()
+    asphere: Annotated[tuple[Finite, ...], Field(max_length=len(COEFFICIENTS["asphere"]))] = ()
     shape_type: str | None = Field(None, alias="shape")
     radius_x_mm: Finite | None = None
     conic_x: Finite = 0.0
+    odd_asphere: Annotated[tuple[Finite, ...], Field(max_length=len(COEFFICIENTS["odd_asphere"]))] = ()
     normalization_radius_mm: Positive | None = None
-    q_mm: Annotated[tuple[Finite, ...], Field(max_length=10)] = ()
+    q_mm: Annotated[tuple[Finite, ...], Field(max_length=len(COEFFICIENTS["q_mm"]))] = ()
     thickness_mm: Positive | None = None
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
     semi_diameter_mm: Positive | None = None
@@ -126,17 +130,29 @@ class Surface(FrozenModel):
     @model_validator(mode="after")
     def _within_edge(self) -> Surface:
         edge = self.shape.edge_radius_mm
-        if self.shape_type == "Qbfs" and self.semi_diameter_mm == edge and any(self.q_mm):
+        if self.semi_diameter_mm is None:
+            return self
+        if self.semi_diameter_mm > edge:
             raise ValueError(
-                f"semi_diameter_mm = {self.semi_diameter_mm:g} is the radius of the sphere, where the "
-                "departure of a Qbfs has no sag; use a smaller one"
+                f"semi_diameter_mm = {self.semi_diameter_mm:g} lies beyond the edge of the "
+                f"{self.shape_class.NAME}, which ends at a radial height of {edge:.6g} mm"
             )
-        if self.semi_diameter_mm is not None and self.semi_diameter_mm > edge:
+        # A conic may end with a slope that is not finite, but the departure from it may not.
+        if self.semi_diameter_mm == edge and not self._has_finite_departures(edge):
             raise ValueError(
-                f"semi_diameter_mm = {self.semi_diameter_mm:g} lies beyond the edge of the conic, "
-                f"which ends at a radial height of {edge:.6g} mm"
+                f"semi_diameter_mm = {self.semi_diameter_mm:g}: a surface of shape {self.shape_class.NAME} "
+                f"ends at {edge:.6g} mm, where it is parallel to the axis; use a smaller one"
             )
         return self
+
+    def _has_finite_departures(self, radial_height_mm: float) -> bool:
+        """Return whether all sections have a finite departure from their conic, and a finite slope of it."""
+        with np.errstate(all="ignore"):
+            found = [
+                self.shape.section(azimuth).departure(np.array(radial_height_mm))
+                for azimuth in azimuths_rad(self.shape)
+            ]
+        return bool(np.all(np.isfinite(found)))
 
     @model_validator(mode="after")
     def _within_figure(self) -> Surface:

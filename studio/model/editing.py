@@ -15,6 +15,7 @@ from typing import Any
 from lensdesign.errors import InputError
 from lensdesign.files.design import lens_of
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import COEFFICIENTS
 from lensdesign.lens.shapes.registry import SHAPES, shape_class
 
 TablePath = tuple[str | int, ...]
@@ -219,12 +220,13 @@ def with_shape(tables: Tables, index: int, shape: str) -> Tables:
             surface["q_mm"] = [0.0]
         if "conic" not in keys:
             surface.pop("conic", None)
+    elif shape == "odd asphere":
+        surface |= {"shape": shape, "odd_asphere": [0.0]}
     elif shape != "conic":
         surface["shape"] = shape
-        for key in ("radius", "conic"):
-            unit = "_mm" if key == "radius" else ""
-            if f"{key}{unit}" in surface:
-                surface[f"{key}_x{unit}"] = surface[f"{key}{unit}"]
+        for key, across in (("radius_mm", "radius_x_mm"), ("conic", "conic_x")):
+            if key in surface and across in keys:
+                surface[across] = surface[key]
     return changed
 
 
@@ -232,6 +234,7 @@ def with_term(tables: Tables, index: int) -> Tables:
     """Return tables with a further aspheric term of 0 on a surface (index from 0)."""
     changed = deepcopy(tables)
     surface = changed["surface"][index]
-    key = "q_mm" if "normalization_radius_mm" in surface else "asphere"
+    keys = shape_class(surface.get("shape", "even asphere")).KEYS
+    key = next(key for key in COEFFICIENTS if key in keys)
     surface[key] = [*surface.get(key, []), 0.0]
     return changed

@@ -18,6 +18,7 @@ from lensdesign.common.text import name_with_unit, number_with_unit
 from lensdesign.errors import InputError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import length_power
 from lensdesign.optimization.specification.sections import AS_BUILT_GOALS
 from studio.model.built import ManufacturingQuality
 from studio.model.studies import write_study
@@ -144,13 +145,10 @@ def variables_of(lens: Lens) -> dict[str, dict[str, Any]]:
                 limits: dict[str, Any] = {"smallest_radius_mm": round(1.01 * reach, 6)}
             elif name.startswith("conic"):
                 limits = {"bounds": [-5.0, 1.0]}
-            elif name.startswith("asphere_"):
-                most = 0.05 / reach ** int(name.removeprefix("asphere_"))
-                limits = {"bounds": [-most, most]}
-            elif name.startswith("q_"):
-                limits = {"bounds": [-0.05 * reach, 0.05 * reach]}
             else:
-                continue
+                largest_sag_mm = 0.05 * reach if name.startswith("q_") else 0.05
+                most = largest_sag_mm * reach ** (length_power(name) - 1)
+                limits = {"bounds": [-most, most]}
             found[f"surface {i} {name}"] = {"surface": i, "parameter": name, **limits}
         if surface.thickness_mm is not None:
             bounds = [0.3 * surface.thickness_mm, 2.0 * surface.thickness_mm]

@@ -9,6 +9,7 @@ from lensdesign.common.text import round_number_below
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import COEFFICIENTS, length_power
 from studio.model.editing import TablePath, Tables, value_at
 
 STEPS = 400
@@ -105,16 +106,15 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
                 row = number(group, (*at, name), label, "", least=0.4)
                 found.append(row if row.text else _zero(row))
         reach = surface.semi_diameter_mm or lens.stop_semi_diameter_mm
-        for k in range(len(surface.asphere)):
-            power = 2 * k + 4
-            most = 0.02 / reach**power
-            found.append(number(group, (*at, "asphere", k), f"r^{power}", f"mm^-{power - 1}", 0.5, most))
         if "q_mm" in keys:
             found.append(number(group, (*at, "normalization_radius_mm"), "normalization radius", "mm"))
-        found += [
-            number(group, (*at, "q_mm", k), f"Q{k}", "mm", 0.5, 1e-3 * reach)
-            for k in range(len(surface.q_mm))
-        ]
+        for key, terms in COEFFICIENTS.items():
+            for k, term in zip(range(len(getattr(surface, key))), terms, strict=False):
+                power, label = length_power(term), surface.shape_class.coefficient_label(term)
+                unit = "mm" if power == 1 else f"mm^{power}"
+                largest_sag_mm = 1e-3 * reach if key == "q_mm" else 0.02
+                most = largest_sag_mm * reach ** (power - 1)
+                found.append(number(group, (*at, key, k), label, unit, 0.5, most))
         if surface.thickness_mm is not None:
             found.append(number(group, (*at, "thickness_mm"), "thickness", "mm"))
             found.append(_glass(group, (*at, "material"), surface.material))

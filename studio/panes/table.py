@@ -7,7 +7,7 @@ from typing import Any
 import param
 
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.shapes.forbes import MOST_Q_TERMS
+from lensdesign.lens.shapes.base import COEFFICIENTS
 from lensdesign.lens.shapes.registry import SHAPES
 from studio.model.bench import Workbench
 from studio.model.editing import with_shape, with_term
@@ -104,10 +104,9 @@ def _table(bench: Workbench) -> tuple[list[str], list[dict[str, Any]]]:
     lens, session = bench.lens, bench.session
     values = {value.key: value for value in values_of(bench.editing.now.tables, bench.opened, lens)}
     variables = variables_of(lens)
-    terms = max(len(surface.asphere) for surface in lens.surfaces)
-    q_terms = max(len(surface.q_mm) for surface in lens.surfaces)
-    is_forbes = any("q_mm" in surface.shape_class.KEYS for surface in lens.surfaces)
-    is_biconic = any("radius_x_mm" in surface.shape_class.KEYS for surface in lens.surfaces)
+    keys = {key for surface in lens.surfaces for key in surface.shape_class.KEYS}
+    across = [key for key in ("radius_x_mm", "conic_x") if key in keys]
+    counts = {key: max(len(getattr(surface, key)) for surface in lens.surfaces) for key in COEFFICIENTS}
 
     def cell(key: str, label: str, name: str = "") -> dict[str, Any] | None:
         value = values.get(key)
@@ -126,9 +125,14 @@ def _table(bench: Workbench) -> tuple[list[str], list[dict[str, Any]]]:
         )
 
     columns = ["radius (mm)", "thickness (mm)", "glass", "semi-diam. (mm)", "conic"]
-    columns += ["radius x (mm)", "conic x"] if is_biconic else []
-    columns += [f"r^{2 * k + 4}" for k in range(terms)]
-    columns += ["norm. radius (mm)", *(f"Q{k} (mm)" for k in range(q_terms))] if is_forbes else []
+    columns += [{"radius_x_mm": "radius x (mm)", "conic_x": "conic x"}[key] for key in across]
+    columns += ["norm. radius (mm)"] if "normalization_radius_mm" in keys else []
+    for key, count in counts.items():
+        of_key = [s.shape_class for s in lens.surfaces if key in s.shape_class.KEYS]
+        columns += [
+            f"{of_key[0].coefficient_label(term)}{' (mm)' if key == 'q_mm' else ''}"
+            for term in COEFFICIENTS[key][:count]
+        ]
     rows: list[dict[str, Any]] = [
         _row(
             "object",
@@ -153,30 +157,28 @@ def _table(bench: Workbench) -> tuple[list[str], list[dict[str, Any]]]:
             cell(f"{at}.semi_diameter_mm", f"{name} semi-diameter, mm"),
             cell(f"{at}.conic", f"{name} conic", f"{name} conic"),
         ]
-        if is_biconic:
-            cells += [
-                cell(f"{at}.radius_x_mm", f"{name} radius x, mm", f"{name} radius_x_mm"),
-                cell(f"{at}.conic_x", f"{name} conic x", f"{name} conic_x"),
-            ]
         cells += [
-            cell(f"{at}.asphere.{k}", f"{name} r^{2 * k + 4}", f"{name} asphere_{2 * k + 4}")
-            for k in range(len(surface.asphere))
+            cell(f"{at}.{key}", f"{name} {label}", f"{name} {key}")
+            for key, label in (("radius_x_mm", "radius x, mm"), ("conic_x", "conic x"))
+            if key in across
         ]
-        if is_forbes:
-            cells += [None] * (terms - len(surface.asphere))
+        if "normalization_radius_mm" in keys:
             cells.append(cell(f"{at}.normalization_radius_mm", f"{name} normalization radius, mm"))
-            cells += [
-                cell(f"{at}.q_mm.{k}", f"{name} Q{k}, mm", f"{name} q_{k}_mm")
-                for k in range(len(surface.q_mm))
-            ]
         actions = surface_actions(lens, i)
-        if surface.shape_class.NAME == "even asphere":
-            actions.append(["term", f"+ r^{2 * len(surface.asphere) + 4}", f"Add an aspheric term to {name}"])
-        elif "q_mm" in surface.shape_class.KEYS and len(surface.q_mm) < MOST_Q_TERMS:
-            actions.append(["term", f"+ Q{len(surface.q_mm)}", f"Add a term to {name}"])
+        shape = surface.shape_class
+        for key, count in counts.items():
+            own = getattr(surface, key)
+            cells += [
+                cell(f"{at}.{key}.{k}", f"{name} {shape.coefficient_label(term)}", f"{name} {term}")
+                for k, term in zip(range(len(own)), COEFFICIENTS[key], strict=False)
+            ]
+            cells += [None] * (count - len(own))
+            if key in shape.KEYS and len(own) < len(COEFFICIENTS[key]):
+                label = shape.coefficient_label(COEFFICIENTS[key][len(own)])
+                actions.append(["term", f"+ {label}", f"Add a term to {name}"])
         row = _row(name, cells, len(columns))
         row |= {
-            "shape": surface.shape_class.NAME,
+            "shape": shape.NAME,
             "surface": i,
             "note": "stop" if i == lens.stop_index else "",
             "actions": actions,

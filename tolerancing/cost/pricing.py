@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.shapes.forbes import Q_TERMS
+from lensdesign.lens.shapes.base import length_power
 from tolerancing.cost.table import CostTable
 from tolerancing.perturbations.batch import radius_delta_mm
 from tolerancing.perturbations.parameters import (
@@ -22,6 +22,7 @@ from tolerancing.perturbations.parameters import (
     RADII,
     ROLLS,
     RUNOUTS,
+    SHAPE_PARAMETERS,
     TILTS,
     PerturbedParameter,
 )
@@ -175,7 +176,7 @@ def _quantity(parameter: PerturbedParameter) -> str:
         return "decenter_mm"
     if name in (*IRREGULARITIES, "thickness_mm", "index", "abbe_percent"):
         return name
-    return "distance_mm" if name.endswith("_mm") and name not in Q_TERMS else "form_um"
+    return "form_um" if name in SHAPE_PARAMETERS else "distance_mm"
 
 
 def _unit(parameter: PerturbedParameter, quantity: str, lens: Lens) -> float:
@@ -194,10 +195,8 @@ def _unit(parameter: PerturbedParameter, quantity: str, lens: Lens) -> float:
         raise InputError(
             f"{parameter.column}: the surface has no semi_diameter_mm, to which its form refers; give it one"
         )
-    if name in Q_TERMS:
-        return 1e3
-    if name.startswith("asphere_"):
-        return 1e3 * h ** int(name.removeprefix("asphere_"))
+    if not name.startswith("conic"):  # the coefficient of a polynomial, or of a power of the radial height
+        return 1e3 * h ** (1 - length_power(name))
     radius = surface.radius_x_mm if name == "conic_x" else surface.radius_mm
     if radius is None:
         raise InputError(f"{parameter.column}: the surface is a plane, which has no form tolerance")

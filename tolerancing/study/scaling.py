@@ -8,13 +8,13 @@ differ.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import length_power
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.study.files import check_against, save_study, study_from_tables
 from tolerancing.study.study import Study
@@ -42,13 +42,13 @@ def scaling_of(parameter: PerturbedParameter) -> int:
     c                       0      expansion is a ratio of lengths
     um                      0      the light, and with it its wavelength, stays
     none: conic, index      0      pure numbers of the shape and the glass
-    none: asphere_4 and on  1 - n  the coefficient of r^n multiplies a length to the n to give a length
+    none: (odd_)asphere_n   1 - n  the coefficient of r^n multiplies a length to the n to give a length
     none: slices            0      a number
     ======================  =====  ====================================================================
     """
-    if power := re.fullmatch(r"asphere_(\d+)", parameter.parameter):
-        return 1 - int(power[1])
-    return int(parameter.unit in ("mm", "fringes", "waves"))
+    if parameter.unit:
+        return int(parameter.unit in ("mm", "fringes", "waves"))
+    return length_power(parameter.parameter)
 
 
 def study_of_scaled_lens(study: Study, factor: float, design: str) -> Study:

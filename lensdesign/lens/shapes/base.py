@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -22,6 +22,13 @@ from lensdesign.errors import InputError
 
 Array = NDArray[Any]
 Point = tuple[Any, Any, Any]
+
+COEFFICIENTS = {
+    "asphere": tuple(f"asphere_{order}" for order in range(4, 44, 2)),
+    "odd_asphere": tuple(f"odd_asphere_{order}" for order in range(3, 13)),
+    "q_mm": tuple(f"q_{m}_mm" for m in range(10)),
+}
+"""Names of the terms that the keys of a design file with several numbers contain, in their order."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,33 @@ class DrawnTerms:
 
     formula: str = ""
     constants: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """Curve in which a plane through the axis cuts a surface: a conic, and a departure from it along z.
+
+    Attributes
+    ----------
+    curvature, conic : float
+        Curvature in 1/mm and conic constant of the conic.
+    edge_radius_mm : float
+        Radial height at which the conic ends; inf if it has no edge.
+    departure
+        Function of radial heights in mm that returns the departure in mm, and its slope.
+    """
+
+    curvature: float
+    conic: float
+    edge_radius_mm: float
+    departure: Callable[[Array], tuple[Array, Array]]
+
+    def sag_and_slope(self, r: ArrayLike) -> tuple[Array, Array]:
+        """Return the sag in mm and the slope at radial heights in mm."""
+        r = np.asarray(r, float)
+        root = np.sqrt(1.0 - (1.0 + self.conic) * self.curvature**2 * r * r)
+        departure, slope = self.departure(r)
+        return self.curvature * r * r / (1.0 + root) + departure, self.curvature * r / root + slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +104,9 @@ class Shape(ABC):
     ROTATIONAL: ClassVar[bool] = True
     """True if the surface is rotationally symmetric."""
 
+    COORDINATE: ClassVar[str] = "r"
+    """Coordinate whose powers the coefficients multiply."""
+
     ZEMAX_LOST: ClassVar[Mapping[int, str]] = {}
     """Parameters of the Zemax surface that this shape cannot represent: description by number."""
 
@@ -99,9 +136,11 @@ class Shape(ABC):
     def traced_by(self, term: str) -> dict[str, float]:
         """Return the derivatives of the terms of `traced` with respect to a term, without zeros."""
 
-    def section(self, azimuth_rad: float) -> FormulaShape:
-        """Return the surface of revolution with this surface's meridian at an azimuth, from +x towards +y."""
-        return self.traced
+    def section(self, azimuth_rad: float) -> Section:
+        """Return the section of the surface at an azimuth, from +x towards +y."""
+        shape = self.traced
+        curvature, conic = shape.start(shape.terms)
+        return Section(float(curvature), float(conic), self.edge_radius_mm, shape.departure)
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         """Return type and numbered parameters (PARM) of the Zemax surface, besides CURV and CONI."""
@@ -147,6 +186,13 @@ class Shape(ABC):
     @abstractmethod
     def derivatives_by(self, term: str, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the derivatives of the sag and of its slopes with respect to a term."""
+
+    @classmethod
+    def coefficient_label(cls, term: str) -> str:
+        """Return the label of a coefficient (:data:`COEFFICIENTS`): r^4, Q0, ..."""
+        if term in COEFFICIENTS["q_mm"]:
+            return f"Q{COEFFICIENTS['q_mm'].index(term)}"
+        return f"{cls.COORDINATE}^{order_of(term)}"
 
     def term_index(self, term: str) -> int:
         """Return the index of a term in `terms`.
@@ -257,6 +303,13 @@ class FormulaShape(Shape):
         return a, b, c
 
 
+def with_coefficient(coefficients: Sequence[float], position: int, value: float) -> tuple[float, ...]:
+    """Return coefficients with another one at a position, beyond their end if need be."""
+    found = [*coefficients, *[0.0] * (position + 1 - len(coefficients))]
+    found[position] = float(value)
+    return tuple(found)
+
+
 def azimuths_rad(*shapes: Shape) -> Array:
     """Return the azimuths at which surfaces are examined: 64, or 90 degrees alone if all are rotational."""
     if all(shape.ROTATIONAL for shape in shapes):
@@ -282,6 +335,16 @@ def term_of(parameter: str) -> str:
     """Return the term that a parameter of a design file sets."""
     radius = parameter.removesuffix("_mm")
     return radius.replace("radius", "curvature") if parameter.startswith("radius") else parameter
+
+
+def length_power(parameter: str) -> int:
+    """Return the power of a length in a parameter: 1 - n for the coefficient of r^n, 1 for a length, or 0."""
+    return 1 - order_of(parameter) if "asphere_" in parameter else int(parameter.endswith("_mm"))
+
+
+def order_of(term: str) -> int:
+    """Return the power that a coefficient multiplies."""
+    return int(term.rpartition("_")[2])
 
 
 def radius_of(curvature: float) -> float:

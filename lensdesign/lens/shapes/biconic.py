@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import FormulaShape, Point, curvature_of, radius_of
+from lensdesign.lens.shapes.base import FormulaShape, Point, Section, curvature_of, radius_of
 from lensdesign.lens.shapes.conic import Conic
 
 
@@ -108,11 +108,12 @@ class Biconic(FormulaShape):
     def kind(self) -> str:
         return "biconic"
 
-    def section(self, azimuth_rad: float) -> Conic:
+    def section(self, azimuth_rad: float) -> Section:
         x2, y2 = math.cos(azimuth_rad) ** 2, math.sin(azimuth_rad) ** 2
         (qy, qx), (cy, cx) = self.ends(), self.terms[::2]
         c = cx * x2 + cy * y2
-        return Conic(np.array([c, (qx * x2 + qy * y2) / (c * c) - 1.0 if c else 0.0]))
+        section = Conic(np.array([c, (qx * x2 + qy * y2) / (c * c) - 1.0 if c else 0.0]))
+        return section.section(azimuth_rad)
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         radius = radius_of(float(self.terms[2])) if self.terms[2] else 0.0

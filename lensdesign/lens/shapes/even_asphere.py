@@ -12,12 +12,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.lens.shapes.base import DrawnTerms, Point, curvature_of
+from lensdesign.lens.shapes.base import COEFFICIENTS, DrawnTerms, Point, curvature_of, with_coefficient
 from lensdesign.lens.shapes.conic import Conic
 
-ORDERS = tuple(f"asphere_{order}" for order in range(4, 44, 2))
-"""Names of the coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...; as many as a design file may have."""
+ORDERS = COEFFICIENTS["asphere"]
 
 CODEV_LETTERS = "ABCDEFGHJ"
 """CODE V's letters of the coefficients of r^4 to r^20."""
@@ -93,17 +93,8 @@ class EvenAsphere(Conic):
         constants = ((f"A_{n}", float(a)) for n, a in zip(orders, self.terms[2:], strict=True))
         return DrawnTerms((" + … + " if count > 2 else " + ").join(words), tuple(constants))
 
-    def _written(self, most: int, kind: str) -> list[float]:
-        """Return the coefficients for a file format that has at most so many."""
-        values = without_zeros([float(a) for a in self.terms[2:]])
-        if len(values) > most:
-            raise InputError(
-                f"{len(self.terms) - 2} asphere terms; {kind} holds {most}, up to r^{2 * most + 2}"
-            )
-        return values
-
     def zemax(self) -> tuple[str, dict[int, float]]:
-        values = self._written(len(ZEMAX_TERMS), "a .zmx file")
+        values = written_coefficients(self.terms[2:], len(ZEMAX_TERMS), "r", "a .zmx file")
         return ("EVENASPH", dict(enumerate((0.0, *values), start=1))) if values else ("STANDARD", {})
 
     @classmethod
@@ -113,18 +104,14 @@ class EvenAsphere(Conic):
         return {"asphere": without_zeros([values.get(i, 0.0) for i in ZEMAX_TERMS])}
 
     def codev(self) -> tuple[str, dict[str, float]]:
-        values = self._written(len(CODEV_LETTERS), "a .seq file")
+        values = written_coefficients(self.terms[2:], len(CODEV_LETTERS), "r", "a .seq file")
         return ("ASP" if values else "CON"), dict(zip(CODEV_LETTERS, values, strict=False))
 
     @classmethod
     def changed_keys(cls, values: Mapping[str, Any], term: str, value: float) -> dict[str, Any]:
-        if not term.startswith("asphere_"):
+        if term not in ORDERS:
             return super().changed_keys(values, term, value)
-        position = cls.TERMS.index(term) - 2
-        terms = list(values["asphere"])
-        terms += [0.0] * (position + 1 - len(terms))
-        terms[position] = float(value)
-        return {"asphere": tuple(terms)}
+        return {"asphere": with_coefficient(values["asphere"], ORDERS.index(term), value)}
 
     @classmethod
     def scaled_keys(cls, values: Mapping[str, Any], factor: float) -> dict[str, Any]:
@@ -136,3 +123,17 @@ def without_zeros(asphere: Sequence[float]) -> list[float]:
     """Return the coefficients without trailing zeros."""
     count = max((i for i, a in enumerate(asphere, start=1) if a), default=0)
     return list(asphere[:count])
+
+
+def written_coefficients(coefficients: Array, most: int, symbol: str, kind: str) -> list[float]:
+    """Return the coefficients of even powers of a symbol for a kind of file that holds a number of them.
+
+    Raises
+    ------
+    InputError
+        If there are more.
+    """
+    values = without_zeros([float(a) for a in coefficients])
+    if len(values) > most:
+        raise InputError(f"{len(values)} asphere terms; {kind} holds {most}, up to {symbol}^{2 * most + 2}")
+    return values

@@ -28,16 +28,14 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import DrawnTerms, curvature_of
+from lensdesign.lens.shapes.base import COEFFICIENTS, DrawnTerms, curvature_of, with_coefficient
 from lensdesign.lens.shapes.conic import Conic
 from lensdesign.lens.shapes.even_asphere import EvenAsphere
 from lensdesign.lens.shapes.expanded import ExpandedShape, powers_of_r
 from lensdesign.lens.shapes.sphere_departure import SphereDeparture
 
-MOST_Q_TERMS = 10
-"""Largest number of coefficients: that of the powers which compiled tracing unrolls."""
-
-Q_TERMS = tuple(f"q_{m}_mm" for m in range(MOST_Q_TERMS))
+Q_TERMS = COEFFICIENTS["q_mm"]
+MOST_Q_TERMS = len(Q_TERMS)
 
 
 @cache
@@ -93,10 +91,7 @@ class _ForbesShape(ExpandedShape):
     def changed_keys(cls, values: Mapping[str, Any], term: str, value: float) -> dict[str, Any]:
         if term not in Q_TERMS:
             return super().changed_keys(values, term, value)
-        position, coefficients = Q_TERMS.index(term), list(values["q_mm"])
-        coefficients += [0.0] * (position + 1 - len(coefficients))
-        coefficients[position] = float(value)
-        return {"q_mm": tuple(coefficients)}
+        return {"q_mm": with_coefficient(values["q_mm"], Q_TERMS.index(term), value)}
 
     @classmethod
     def scaled_keys(cls, values: Mapping[str, Any], factor: float) -> dict[str, Any]:

@@ -11,7 +11,9 @@ from lensdesign.lens.shapes.base import FormulaShape, Shape, term_of
 SHAPES = {
     "conic": "lensdesign.lens.shapes.conic:Conic",
     "even asphere": "lensdesign.lens.shapes.even_asphere:EvenAsphere",
+    "odd asphere": "lensdesign.lens.shapes.odd_asphere:OddAsphere",
     "biconic": "lensdesign.lens.shapes.biconic:Biconic",
+    "toroid": "lensdesign.lens.shapes.toroid:Toroid",
     "Qcon": "lensdesign.lens.shapes.forbes:Qcon",
     "Qbfs": "lensdesign.lens.shapes.forbes:Qbfs",
 }
@@ -22,6 +24,8 @@ FORMULAS = (
     "lensdesign.lens.shapes.even_asphere:EvenAsphere",
     "lensdesign.lens.shapes.biconic:Biconic",
     "lensdesign.lens.shapes.sphere_departure:SphereDeparture",
+    "lensdesign.lens.shapes.odd_asphere:OddAsphere",
+    "lensdesign.lens.shapes.toroid:Toroid",
 )
 """Classes of the formulas; the position is the code in compiled tracing. Rays intersect the first one, the
 conic, in closed form.

@@ -88,8 +88,8 @@ def conic_bezier(meridian: SurfaceMeridian) -> tuple[Array, Array]:
     weights : ndarray, shape (3,)
         Weights of the control points.
     """
-    (c, conic), r = meridian.shape.start(meridian.shape.terms), meridian.end_mm
-    equator = meridian.shape.edge_radius_mm
+    section, r = meridian.section, meridian.end_mm
+    c, conic, equator = section.curvature, section.conic, section.edge_radius_mm
     # The meridian uses the same angle; another formula would differ by rounding near the equator.
     q = (
         math.cos(math.asin(min(1.0, r / equator)))
@@ -172,7 +172,7 @@ def _optical_edge(meridian: SurfaceMeridian, index: int) -> Any:
     """Return the meridian of an optical surface as a TopoDS_Edge in the plane y = 0."""
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
 
-    shape = meridian.shape
+    shape = meridian.surface.shape
     if shape.kind == "plane":
         return _straight_edge((0.0, meridian.vertex_z_mm), meridian.points(1.0))
     # A file holds 13 digits: beyond a radius of 1 m the centre of an arc would be too imprecise.
@@ -192,7 +192,7 @@ def _arc(meridian: SurfaceMeridian) -> Any:
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
     from OCP.gp import gp_Ax2, gp_Circ, gp_Dir
 
-    radius = 1.0 / meridian.shape.curvature
+    radius = 1.0 / meridian.surface.curvature
     side = math.copysign(1.0, radius)
     to_vertex, normal = gp_Dir(0.0, 0.0, -side), gp_Dir(0.0, -side, 0.0)
     frame = gp_Ax2(_point((0.0, meridian.vertex_z_mm + radius)), normal, to_vertex)

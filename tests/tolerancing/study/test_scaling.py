@@ -103,7 +103,9 @@ def test_every_parameter_has_a_power() -> None:
             power = scaling_of(PerturbedParameter(target=item, parameter=name))
             known = {"_mm": 1, "fringes": 1, "waves": 1, "_deg": 0, "percent": 0, "_c": 0, "_um": 0}
             ends = [value for end, value in known.items() if name.endswith(end)]
-            assert power == (ends[0] if ends else 0 if "asphere" not in name else 1 - int(name.split("_")[1]))
+            assert power == (
+                ends[0] if ends else 0 if "asphere" not in name else 1 - int(name.rpartition("_")[2])
+            )
 
 
 def test_line_widths_and_patches_stay_and_points_scale() -> None:

@@ -101,7 +101,7 @@ def test_a_shape_with_all_keys_is_proposed() -> None:
 
 def test_apertures_where_the_formula_has_no_meaning_are_refused() -> None:
     keys = {"shape": "Qbfs", "radius_mm": 9.0, "q_mm": (0.01,) * 10}
-    with pytest.raises(ValueError, match="is the radius of the sphere"):
+    with pytest.raises(ValueError, match=r"Qbfs ends at 9 mm.* use a smaller one"):
         Surface(**keys, normalization_radius_mm=8.0, semi_diameter_mm=9.0)
     with pytest.raises(ValueError, match="more than 2 times larger"):
         Surface(**keys, normalization_radius_mm=2.0, semi_diameter_mm=5.0)

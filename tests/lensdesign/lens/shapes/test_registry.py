@@ -170,10 +170,12 @@ def refuses(call: Callable[[], object]) -> bool:
 def test_sections_have_the_sag_along_their_azimuth(name: str, data: st.DataObject, azimuth: float) -> None:
     shape = data.draw(surfaces(name)).shape
     section = shape.section(azimuth)
-    assert section.ROTATIONAL
     r = np.linspace(0.0, REACH_MM, 7)
     x, y = r * math.cos(azimuth), r * math.sin(azimuth)
-    np.testing.assert_allclose(section.sag(0.0, r), shape.sag(x, y), rtol=0.0, atol=1e-13)
+    sag, by_x, by_y = shape.sag_and_slopes(x, y)
+    along = by_x * math.cos(azimuth) + by_y * math.sin(azimuth)
+    for found, wanted in zip(section.sag_and_slope(r), (sag, along), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-13)
     if shape.ROTATIONAL:
         np.testing.assert_allclose(shape.sag(x, y), shape.sag(0.0, r), rtol=0.0, atol=1e-14)
 
