@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.cli import compare as cli_compare
+from lensdesign.cli import figure as cli_figure
 from lensdesign.cli import ghost as cli_ghost
 from lensdesign.cli import manufacture as cli_manufacture
 from lensdesign.cli import search as cli_search
@@ -48,6 +49,7 @@ app = make_app(
         },
         "Exchange and make": {
             "import": "Convert the lens file of another program.",
+            "figure": "Convert an interferogram to the figure of a surface.",
             "export": "Write a mesh, exact solids or a file for another program.",
             "scene": "Write lens, sensor planes and rays as a 3D scene.",
             "drawing": "Draw the sheet for the workshop (ISO 10110).",
@@ -141,6 +143,7 @@ app.command()(cli_search.optimize)
 app.command()(cli_search.explore)
 app.command()(cli_search.limits)
 app.command("import")(cli_manufacture.import_file)
+app.command()(cli_figure.figure)
 app.command()(cli_manufacture.export)
 app.command()(cli_manufacture.scene)
 app.command()(cli_manufacture.drawing)

@@ -1,0 +1,185 @@
+"""Interferograms: maps of the height of a made surface, and the sag error that they show.
+
+The reader supports Zygo's binary files (MetroPro ``.dat``, Mx ``.datx``) through prysm. A map shows the
+surface as the camera of the instrument sees it: the first row is at the top, and heights are positive towards
+the instrument. The instrument looks at a front surface along +z, and at a back surface along -z; the top of
+its picture is +y. A front is therefore seen mirrored, and its heights are opposite to sag errors.
+
+Piston and tilt of a map depend on the alignment in the instrument and are removed. So is power (r^2), unless
+the radius was measured with the map: the distance from the reference determines it.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy import ndimage
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.surface_figure import FEWEST_POINTS
+
+Side = Literal["front", "back"]
+"""Side of the glass on which a surface lies."""
+
+DAT_MAGIC = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
+"""First bytes of MetroPro files."""
+
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+"""First bytes of Mx files, which are HDF5."""
+
+
+@dataclass(frozen=True, eq=False)
+class Interferogram:
+    """Map of the height of a surface, as the instrument shows it.
+
+    Attributes
+    ----------
+    height_mm : ndarray, shape (rows, columns)
+        Height in mm, positive towards the instrument; NaN where it was not measured. The first row is at the
+        top.
+    spacing_mm : float
+        Distance between neighbouring points on the surface in mm.
+    """
+
+    height_mm: Array
+    spacing_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class FigureMap:
+    """Sag error of a surface, as a grid file contains it (:mod:`lensdesign.files.surface_figures`).
+
+    Attributes
+    ----------
+    sag_error_mm : ndarray, shape (rows, columns)
+        Sag error in mm, positive along +z; NaN where it was not measured. y increases with the row, x with
+        the column. The middle of the grid is the middle of the measured area.
+    spacing_mm : float
+        Distance between neighbouring points in mm.
+    semi_diameter_mm : float
+        Radius of the largest disc about the middle in which every point was measured.
+    tilt_deg : (x, y)
+        Removed slopes along x and y, as angles.
+    power_um : float
+        Power (r^2) within the semi-diameter, as the sag error in um that it causes at its rim.
+    pv_um, rms_um : float
+        Peak to valley and root mean square of the sag error within the semi-diameter.
+    """
+
+    sag_error_mm: Array
+    spacing_mm: float
+    semi_diameter_mm: float
+    tilt_deg: tuple[float, float]
+    power_um: float
+    pv_um: float
+    rms_um: float
+
+
+def read_interferogram(path: str | os.PathLike[str], spacing_mm: float | None = None) -> Interferogram:
+    """Read a map of a surface's height from a Zygo file.
+
+    Parameters
+    ----------
+    path
+        A file of MetroPro (``.dat``) or Mx (``.datx``).
+    spacing_mm
+        Distance between neighbouring points on the surface; default: that of the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is of another kind, or does not state a spacing and none is given.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(8)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    if not start.startswith((*DAT_MAGIC, HDF5_MAGIC)):
+        raise InputError(f"{path}: no Zygo file (.dat of MetroPro or .datx of Mx)")
+    try:
+        from prysm.io import read_zygo_dat, read_zygo_datx
+    except ImportError as error:
+        raise InputError(
+            f"interferograms need an extra: pip install 'transferlens[interferograms]' ({error})"
+        ) from None
+    read = read_zygo_datx if start == HDF5_MAGIC else read_zygo_dat
+    try:
+        found = read(path)
+        height_mm = 1e-6 * np.asarray(found["phase"], float)
+        metadata = found["meta"]
+        names = [name for name in ("lateral_resolution", "Lateral Resolution") if name in metadata]
+        stated_mm = 1e3 * float(metadata[names[0]]) if names else 0.0
+    except (OSError, ImportError, ValueError, TypeError, LookupError, struct.error) as error:
+        raise InputError(f"{path}: cannot be read as a Zygo file; is it cut short? ({error})") from error
+    spacing = stated_mm if spacing_mm is None else spacing_mm
+    if spacing_mm is None and not 0.0 < stated_mm < np.inf:
+        raise InputError(f"{path}: states no distance between its points; give spacing_mm")
+    if not 0.0 < spacing < np.inf:
+        raise InputError(f"spacing_mm = {spacing:g}: must be finite and above 0")
+    if height_mm.ndim != 2 or not np.any(np.isfinite(height_mm)):
+        raise InputError(f"{path}: has no measured points")
+    return Interferogram(height_mm, spacing)
+
+
+def figure_map(interferogram: Interferogram, side: Side, *, keep_power: bool = False) -> FigureMap:
+    """Return the sag error that an interferogram shows, about the middle of the measured area.
+
+    Parameters
+    ----------
+    interferogram
+        Map of the height of the surface.
+    side
+        Whether the surface is the front or the back of its glass.
+    keep_power
+        Whether power is an error of the surface. By default it is removed, like piston and tilt.
+
+    Raises
+    ------
+    InputError
+        If the measured area is too small.
+    """
+    height, spacing = interferogram.height_mm, interferogram.spacing_mm
+    measured = np.isfinite(height)
+    rows, columns = (np.flatnonzero(measured.any(axis=axis)) for axis in (1, 0))
+    seen = height[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    # The first row is at the top. An instrument that looks along +z has +x on its left.
+    sag = seen[::-1] if side == "back" else -seen[::-1, ::-1]
+    y, x = (spacing * (np.arange(n) - 0.5 * (n - 1)) for n in sag.shape)
+    radial_height = np.hypot(x, y[:, None])
+    missing = radial_height[~np.isfinite(sag)]
+    semi_mm = min(float(missing.min(initial=np.inf)) - spacing, float(x[-1]), float(y[-1]))
+    if semi_mm < 0.5 * FEWEST_POINTS * spacing:
+        raise InputError(
+            f"{_holes(sag)} in the middle of the map: every point within some distance of the middle of the "
+            f"measured area must be measured, over at least {FEWEST_POINTS} points"
+        )
+    across, down = (np.broadcast_to(one, sag.shape) for one in (x, y[:, None]))
+    terms = np.stack([np.ones(sag.shape), across, down, radial_height**2], axis=-1)
+    inside = radial_height <= semi_mm
+    coefficients = np.linalg.lstsq(terms[inside], sag[inside], rcond=None)[0]
+    removed = coefficients * [1.0, 1.0, 1.0, not keep_power]
+    sag = sag - terms @ removed
+    within = 1e3 * sag[inside]
+    tilt_x, tilt_y = np.degrees(np.arctan(coefficients[1:3])).tolist()
+    return FigureMap(
+        sag,
+        spacing,
+        semi_mm,
+        (tilt_x, tilt_y),
+        1e3 * float(coefficients[3]) * semi_mm**2,
+        float(np.ptp(within)),
+        float(np.std(within)),
+    )
+
+
+def _holes(values: Array) -> str:
+    """Return how many areas of a map were not measured, in words."""
+    count = int(ndimage.label(~np.isfinite(values))[1])
+    return f"{count} area{'' if count == 1 else 's'} without data"
