@@ -12,6 +12,7 @@ from .lens.scaling import scaled
 from .lens.surface import Surface
 from .lens.surface_figure_source import SurfaceFigureSource
 from .manufacture.drawing.sheets import lens_drawing, write_drawing
+from .manufacture.dxf.outline import write_outline
 from .manufacture.mesh.mesh import write_mesh
 from .manufacture.mesh.reading import read_mesh
 from .manufacture.mesh.verification import verify_mesh
@@ -61,6 +62,7 @@ __all__ = [
     "verify_mesh",
     "write_drawing",
     "write_mesh",
+    "write_outline",
     "write_scene",
     "write_seq",
     "write_step",

@@ -55,7 +55,7 @@ def export(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write the glass as a mesh or as exact solids, or the lens as another program's file.
+    """Write the glass as mesh, exact solids or outline in section, or the lens as another program's file.
 
     If the design has no edge, the glass has the ground diameter of the drawing; the file and a note state it.
 
@@ -110,7 +110,7 @@ def print_outline(statements: Sequence[str]) -> None:
 
 def drawing(
     design: Design,
-    output: Annotated[Path, output_option("Drawing, .pdf or .svg.", "FILE")],
+    output: Annotated[Path, output_option("Drawing, .pdf, .svg or .dxf.", "FILE")],
     sheet: Annotated[
         Path | None,
         typer.Option(

@@ -1,6 +1,7 @@
 from .drawing.assumed import AssumedTolerances, load_tolerances
 from .drawing.sheets import DrawingOptions, drawing_as_stated, lens_drawing, write_drawing
 from .drawing.tolerances import DrawingTolerances, SurfaceTolerances
+from .dxf.outline import OutlineReport, write_outline
 from .exports import Exported, ExportOptions, export_lens
 from .mesh.mesh import lens_mesh, write_mesh
 from .mesh.reading import TriangleMesh, read_mesh
@@ -14,6 +15,7 @@ __all__ = [
     "ExportOptions",
     "Exported",
     "MeshReport",
+    "OutlineReport",
     "StepReport",
     "SurfaceTolerances",
     "TriangleMesh",
@@ -26,5 +28,6 @@ __all__ = [
     "verify_mesh",
     "write_drawing",
     "write_mesh",
+    "write_outline",
     "write_step",
 ]

@@ -11,6 +11,7 @@ from lensdesign.analysis.outline import DrawnOutline, drawn_outline
 from lensdesign.errors import InputError
 from lensdesign.files.formats import LENS_FORMATS, write_lens_file
 from lensdesign.lens.solid import glass_elements
+from lensdesign.manufacture.dxf.outline import DXF_SUFFIX
 from lensdesign.manufacture.mesh.writing import MESH_SUFFIXES
 from lensdesign.manufacture.step.step_files import STEP_SUFFIXES
 
@@ -153,6 +154,31 @@ def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
     return Exported(sentence, values, outline.statements)
 
 
+def _outline(lens: Lens, path: Path, options: ExportOptions) -> Exported:
+    from lensdesign.manufacture.dxf.outline import write_outline
+
+    if options.measured:
+        raise InputError(
+            f"cannot write {path} with --measured: outlines have nominal surfaces; write a mesh instead"
+        )
+    outline = drawn_outline(lens)
+    found = write_outline(outline.lens, path, warn=options.warn, statement="; ".join(outline.statements))
+    values = {
+        "file": str(path),
+        "bytes": found.bytes,
+        "elements": found.elements,
+        "curves": [asdict(curve) for curve in found.curves],
+        "surfaces_without_their_figure": _surfaces_with_figure(lens),
+        "outline": list(outline.statements),
+        "ground_diameters_mm": _diameters(outline),
+    }
+    sentence = (
+        f"section of {found.elements} {'element' if found.elements == 1 else 'elements'}, read back within "
+        f"{1e6 * found.largest_deviation_mm:.2g} nm of the true surface"
+    )
+    return Exported(sentence, values, outline.statements)
+
+
 def _lens_file(lens: Lens, path: Path, _options: ExportOptions) -> Exported:
     write_lens_file(lens, path)
     surfaces = len(lens.surfaces)
@@ -183,6 +209,7 @@ def _surfaces_with_figure(lens: Lens) -> list[int]:
 EXPORT_FORMATS = {
     **dict.fromkeys(MESH_SUFFIXES, ExportFormat("mesh", _mesh)),
     **dict.fromkeys(STEP_SUFFIXES, ExportFormat("exact solid", _step)),
+    DXF_SUFFIX: ExportFormat("outline in section", _outline),
     **dict.fromkeys(LENS_FORMATS, ExportFormat("lens file", _lens_file)),
 }
 

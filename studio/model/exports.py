@@ -15,6 +15,7 @@ KINDS = {
     "mesh for printing (.stl)": ".stl",
     "mesh with colours (.glb)": ".glb",
     "exact solid (.step)": ".step",
+    "outline in section (.dxf)": ".dxf",
     "drawing for the shop (.pdf)": ".pdf",
     "drawing for the shop (.svg)": ".svg",
     "Zemax (.zmx)": ".zmx",

@@ -111,16 +111,17 @@ def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
 
 
 def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
-    """Write a drawing as PDF or SVG.
+    """Write a drawing as PDF, SVG or DXF.
 
-    A PDF file has one page for each sheet. An SVG file has the sheets below each other.
+    A PDF file has one page for each sheet. SVG and DXF files have the sheets below each other, in mm on
+    paper.
 
     Parameters
     ----------
     drawing
         The drawing, from :func:`lens_drawing`.
     path
-        File to write; its suffix, .pdf or .svg, selects the format.
+        File to write; its suffix, .pdf, .svg or .dxf, selects the format.
 
     Raises
     ------
@@ -132,14 +133,14 @@ def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
     >>> from lensdesign import lens_drawing, load_design, write_drawing
     >>> write_drawing(lens_drawing(load_design("designs/paper_singlet.toml")), "lens.pdf")
     """
-    from lensdesign.manufacture.drawing.writers import write_pdf, write_svg
+    from lensdesign.manufacture.drawing.writers import write_dxf, write_pdf, write_svg
 
     suffix = Path(path).suffix.lower()
-    suffixes = (".pdf", ".svg")
-    if suffix not in suffixes:
-        raise InputError(f"cannot write {path}: the name must end in {' or '.join(suffixes)}")
+    writers = {".pdf": write_pdf, ".svg": write_svg, ".dxf": write_dxf}
+    if suffix not in writers:
+        raise InputError(f"cannot write {path}: the name must end in .pdf, .svg or .dxf")
     with atomic_path(path) as temporary:
-        (write_pdf if suffix == ".pdf" else write_svg)(drawing, temporary)
+        writers[suffix](drawing, temporary)
 
 
 def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -> Sheet:

@@ -1,4 +1,4 @@
-"""Writers of drawings: PDF with a page for each sheet, or SVG with the sheets below each other."""
+"""Writers of drawings: PDF with a page for each sheet, or SVG and DXF with the sheets below each other."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import Any
 from xml.sax.saxutils import escape
 
 from lensdesign.manufacture.drawing.primitives import (
+    CENTRE_LINE_DASHES,
     FONT,
     SHEET_MM,
+    THICK_MM,
     Drawing,
     Item,
     Stroke,
@@ -16,6 +18,10 @@ from lensdesign.manufacture.drawing.primitives import (
     plain,
     register_font,
 )
+from lensdesign.manufacture.dxf.dxf_files import CENTRE_LINE, new_document, save_document
+
+SHEET_GAP_MM = 8.0
+"""Distance between the sheets of an SVG or DXF file."""
 
 
 def write_pdf(drawing: Drawing, path: Path) -> None:
@@ -61,9 +67,7 @@ def _to_canvas(canvas: Any, item: Item) -> None:
 def write_svg(drawing: Drawing, path: Path) -> None:
     """Write an SVG in mm; texts keep their width even if the viewer lacks the font."""
     width, height = SHEET_MM
-    # Distance between the sheets of an SVG.
-    gap_mm = 8.0
-    total = len(drawing.sheets) * (height + gap_mm) - gap_mm
+    total = len(drawing.sheets) * (height + SHEET_GAP_MM) - SHEET_GAP_MM
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{total:g}mm" '
@@ -72,7 +76,7 @@ def write_svg(drawing: Drawing, path: Path) -> None:
         f'<rect width="{width:g}" height="{total:g}" fill="white"/>',
     ]
     for index, sheet in enumerate(drawing.sheets):
-        top = index * (height + gap_mm)
+        top = index * (height + SHEET_GAP_MM)
         lines.append(
             f'<g transform="translate(0 {top:g})" fill="none" stroke="black" stroke-linecap="round" '
             f'stroke-linejoin="round" font-family="\'DejaVu Sans\', sans-serif">'
@@ -98,3 +102,50 @@ def _svg_text(item: Text) -> str:
         f'textLength="{item.width_mm:.4f}" lengthAdjust="spacingAndGlyphs" xml:space="preserve" '
         f'fill="black" stroke="none"{rotation}>{escape(item.text)}</text>'
     )
+
+
+def write_dxf(drawing: Drawing, path: Path) -> None:
+    """Write a DXF in mm on paper: lines, centre lines, filled areas and texts, each kind on its own layer."""
+    document = new_document({"title": plain(drawing.title)}, CENTRE_LINE_DASHES)
+    space = document.modelspace()
+    for layer in ("VISIBLE_EDGES", "THIN_LINES", "FILLED", "TEXT"):
+        document.layers.add(layer)
+    document.layers.add("CENTRE_LINES", linetype=CENTRE_LINE)
+    document.styles.add(FONT, font=f"{FONT}.ttf")
+    for index, sheet in enumerate(drawing.sheets):
+        bottom = -index * (SHEET_MM[1] + SHEET_GAP_MM)
+        for item in sheet.items:
+            if isinstance(item, Text):
+                _dxf_text(space, item, bottom)
+            else:
+                _dxf_stroke(space, item, bottom)
+    save_document(document, path)
+
+
+def _dxf_stroke(space: Any, item: Stroke, bottom: float) -> None:
+    from ezdxf.lldxf.const import VALID_DXF_LINEWEIGHTS
+
+    points = [(x, bottom + y) for x, y in item.points]
+    if item.filled:
+        space.add_hatch(dxfattribs={"layer": "FILLED"}).paths.add_polyline_path(points, is_closed=True)
+        return
+    lines = (
+        "CENTRE_LINES" if item.dashes_mm else "VISIBLE_EDGES" if item.width_mm >= THICK_MM else "THIN_LINES"
+    )
+    weight = min(VALID_DXF_LINEWEIGHTS, key=lambda allowed: abs(allowed - 100.0 * item.width_mm))
+    space.add_lwpolyline(points, close=item.closed, dxfattribs={"layer": lines, "lineweight": weight})
+
+
+def _dxf_text(space: Any, item: Text, bottom: float) -> None:
+    """Add a text that keeps its width even if the viewer lacks the font."""
+    from ezdxf.enums import TextEntityAlignment
+
+    if not item.text.strip():
+        return
+    left, low, right, high = item.box
+    ends = ((item.x_mm, low), (item.x_mm, high)) if item.upward else ((left, item.y_mm), (right, item.y_mm))
+    # The height of a DXF text is that of its capital letters, here in DejaVu Sans.
+    height = 0.729 * item.size_mm
+    text = space.add_text(item.text, height=height, dxfattribs={"layer": "TEXT", "style": FONT})
+    start, end = ((x, bottom + y) for x, y in ends)
+    text.set_placement(start, end, align=TextEntityAlignment.FIT)

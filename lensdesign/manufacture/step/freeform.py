@@ -16,7 +16,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element
-from lensdesign.manufacture.step.solids import SPLINE_DEGREE
+from lensdesign.manufacture.meridian_curves import SPLINE_DEGREE
 
 MIN_INTERVALS, MAX_INTERVALS = 32, 256
 

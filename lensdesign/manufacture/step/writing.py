@@ -18,8 +18,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element, closed_elements
+from lensdesign.manufacture.meridian_curves import EXACT
 from lensdesign.manufacture.step.freeform import freeform_solid, surface_error_mm
-from lensdesign.manufacture.step.solids import EXACT, element_solid, rim_corners
+from lensdesign.manufacture.step.solids import element_solid, rim_corners
 from lensdesign.manufacture.step.step_files import (
     STEP_SUFFIXES,
     ocp_errors,

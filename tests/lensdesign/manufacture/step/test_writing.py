@@ -25,7 +25,6 @@ from lensdesign.cli.commands import app
 from lensdesign.errors import InputError
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import closed_elements
-from lensdesign.lens.surface import Surface
 from lensdesign.manufacture.step import solids as cad_solids
 from lensdesign.manufacture.step import writing as cad
 from lensdesign.manufacture.step.step_files import read_solids, silent_ocp, step_text, subshapes
@@ -252,32 +251,6 @@ def test_asphere_with_an_inflection(tmp_path: Path) -> None:
 def test_asphere_up_to_its_upright_edge() -> None:
     found = exported(singlet({"radius_mm": 9.0, "asphere": [1e-6, 5e-9]}, {}, 12.0, 9.0))
     assert found.largest_error_mm < 1e-7
-
-
-def test_spline_is_as_smooth_at_the_vertex_as_elsewhere() -> None:
-    from scipy.interpolate import BSpline
-
-    surface = Surface(radius_mm=15.0, conic=-0.5, asphere=(-3e-4, 5e-7))
-    knots, points = cad_solids.asphere_spline(SurfaceMeridian(surface, 3.0, 9.0))
-    spline = BSpline(knots, points, 5)
-    # Odd derivatives of the sag and even ones of the radial height vanish on the axis.
-    assert [spline.derivative(order)(0.0)[1] for order in (1, 3)] == pytest.approx([0.0, 0.0], abs=1e-7)
-    assert [spline.derivative(order)(0.0)[0] for order in (2, 4)] == pytest.approx([0.0, 0.0], abs=1e-5)
-
-
-def test_spline_error_is_what_it_was_asked_for() -> None:
-    meridian = SurfaceMeridian(Surface(radius_mm=15.0, conic=-0.5, asphere=(-3e-4, 5e-7)), 0.0, 9.0)
-    from scipy.interpolate import BSpline
-
-    counts = []
-    for asked in (1e-5, 1e-7, 1e-10):
-        knots, points = cad_solids.asphere_spline(meridian, asked)
-        found = BSpline(knots, points, 5)(np.linspace(0.0, 1.0, 5000))
-        assert np.max(meridian.distances(found)) < 1.001 * asked
-        counts.append(len(points))
-    assert counts == sorted(set(counts))
-    with pytest.raises(InputError, match="cannot be approximated within 1e-20 mm"):
-        cad_solids.asphere_spline(meridian, 1e-20)
 
 
 def test_rims_with_flats_bevels_and_a_flange(tmp_path: Path) -> None:
