@@ -45,8 +45,6 @@ demo: $(READY)
 
 # The lenses of docs/gallery.md from their specifications, with pictures, meshes and drawings: two minutes.
 GALLERY := feasible_singlet thinnest_singlet moulded_pair wide_field phone_lens stock_pair rectangular_sensor
-# A drawing has no formula for a lens that is none of revolution.
-DRAWN := paper_singlet $(filter-out rectangular_sensor,$(GALLERY))
 
 gallery: $(READY)
 	@mkdir -p $(OUT)/gallery
@@ -59,7 +57,7 @@ gallery: $(READY)
 	  $(BIN)/lensdesign draw $(OUT)/gallery/$$lens.toml -o $(OUT)/gallery/$$lens --format svg; \
 	  $(BIN)/lensdesign export $(OUT)/gallery/$$lens.toml $(OUT)/gallery/$$lens/$$lens.stl; \
 	done
-	@set -e; for lens in $(DRAWN); do \
+	@set -e; for lens in paper_singlet $(GALLERY); do \
 	  $(BIN)/lensdesign drawing $(OUT)/gallery/$$lens.toml -o $(OUT)/gallery/$$lens/drawing.pdf; \
 	done
 

@@ -115,8 +115,8 @@ def drawing(
         Path | None,
         typer.Option(
             metavar="SHEET",
-            help="Title block and tolerances (TOML); default: an empty title block, and the tolerances of "
-            "ISO 10110-11.",
+            help="Title block, tolerances and their unit (TOML); default: an empty title block, and the "
+            "tolerances of ISO 10110-11.",
             rich_help_panel=OptionGroup.INPUT,
         ),
     ] = None,

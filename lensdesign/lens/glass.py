@@ -84,6 +84,8 @@ class Material:
         Function that returns the index at a wavelength in um without a check of the range.
     thermal
         Thermal data of the material.
+    density_g_per_cm3
+        Density; None if the catalogue does not state it.
     notes
         Remarks on the catalogue entry that a user of the material should know.
     """
@@ -94,6 +96,7 @@ class Material:
     source: str = field(repr=False)
     dispersion: Callable[[float], float] = field(repr=False)
     thermal: Thermal = field(default=Thermal(), repr=False)
+    density_g_per_cm3: float | None = field(default=None, repr=False)
     notes: tuple[str, ...] = field(default=(), repr=False)
 
     def index(self, wavelength_um: float) -> float:
@@ -330,12 +333,20 @@ def _database_entries() -> tuple[_Entry, ...]:
 
     def add(names: Sequence[str], catalog: str, page: Page) -> None:
         def load() -> Material:
-            dispersion, span, thermal = read_page(page)
+            data = read_page(page)
             source = (
                 f"{page.book_name}; {page.name} "
                 f"(refractiveindex.info {database_version()}, {page.shelf}/{page.book}/{page.page})"
             )
-            return Material(names[0], span, catalog, source, dispersion, thermal)
+            return Material(
+                names[0],
+                data.wavelength_range_um,
+                catalog,
+                source,
+                data.dispersion,
+                data.thermal,
+                data.density_g_per_cm3,
+            )
 
         entries.extend(_Entry(name, catalog, load) for name in names)
 
@@ -357,7 +368,14 @@ def _file_entries(path: Path) -> tuple[_Entry, ...]:
         reference_c = REFERENCE_C if temperature is None else temperature
         thermal = Thermal(glass.schott, None, reference_c, glass.expansion_per_k)
         material = Material(
-            glass.name, glass.wavelength_range_um, path.name, source, glass, thermal, glass.notes
+            glass.name,
+            glass.wavelength_range_um,
+            path.name,
+            source,
+            glass,
+            thermal,
+            glass.density_g_per_cm3,
+            glass.notes,
         )
 
         def load() -> Material:

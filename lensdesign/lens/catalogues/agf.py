@@ -55,6 +55,8 @@ class AgfGlass:
         Constants of Schott's formula (first six values of the TD record); None if not given.
     expansion_per_k
         Linear expansion coefficient (first value of the ED record); None if not given.
+    density_g_per_cm3
+        Density (third value of the ED record); None if not given.
     notes
         Remarks for a user of the glass, for example on a duplicate entry or a slightly different nd.
     fault
@@ -70,6 +72,7 @@ class AgfGlass:
     reference_temperature_c: float | None = None
     schott: tuple[float, float, float, float, float, float] | None = None
     expansion_per_k: float | None = None
+    density_g_per_cm3: float | None = None
     notes: tuple[str, ...] = ()
     fault: str = ""
 
@@ -208,10 +211,11 @@ def parse_agf(text: str, location: str) -> tuple[AgfGlass, ...]:
 
     These records are read: NM (name, formula, nd, Abbe number), CD (coefficients), LD (wavelength range), GC
     (comment), TD (Schott's formula for the change of index with temperature, and the reference temperature)
-    and ED (its first value is the expansion around room temperature, in 1e-6/K). All other records are
-    ignored, since they concern neither index nor size. A line that starts with a number continues the CD or
-    TD record before it. Missing coefficients at the end of a CD record are zero. Constants of a TD record
-    that are all zero, and an expansion of zero, count as not given.
+    and ED (its first value is the expansion around room temperature, in 1e-6/K, its third one the density in
+    g/cm^3). All other records are ignored, since they concern neither index, size nor mass. A line that
+    starts with a number continues the CD or TD record before it. Missing coefficients at the end of a CD
+    record are zero. Constants of a TD record that are all zero, and an expansion or a density of zero, count
+    as not given.
 
     A duplicate name is one glass with a note if both entries have the same index (within `SAME_INDEX`), and
     otherwise a glass with a `fault`. A glass whose nd contradicts its coefficients by more than `ND_REFUSED`
@@ -337,6 +341,7 @@ class _Draft:
     reference_temperature_c: float | None = None
     schott: tuple[float, float, float, float, float, float] | None = None
     expansion_per_k: float | None = None
+    density_g_per_cm3: float | None = None
     continued: str = ""
     continued_at: str = ""
 
@@ -375,6 +380,7 @@ class _Draft:
             self.reference_temperature_c,
             self.schott,
             self.expansion_per_k,
+            self.density_g_per_cm3,
         )
         return _compared(self, glass)
 
@@ -507,6 +513,8 @@ def _read_extra(draft: _Draft, rest: str, location: str) -> None:
     words = rest.split()
     expansion = _number(words[0], location, "ED") if words else 0.0
     draft.expansion_per_k = 1e-6 * expansion if expansion else None
+    density = _number(words[2], location, "ED") if len(words) > 2 else 0.0
+    draft.density_g_per_cm3 = density if density > 0.0 else None
 
 
 _READERS: dict[str, Callable[[_Draft, str, str], None]] = {

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from lensdesign.errors import MaterialError
 from lensdesign.lens.catalogues.thermal import PLASTICS, REFERENCE_C, Thermal
@@ -110,17 +110,29 @@ def database_pages() -> dict[tuple[str, str, str], Page]:
     return pages
 
 
-def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float], Thermal]:
-    """Read the data of a page.
+class PageData(NamedTuple):
+    """Data of a page.
 
-    Returns
-    -------
-    index : Fit or Table
+    Attributes
+    ----------
+    dispersion
         Index by wavelength in um.
-    wavelength_range_um : tuple of float
+    wavelength_range_um
         Shortest and longest wavelength for which the index is known.
-    thermal : Thermal
+    thermal
         Thermal data.
+    density_g_per_cm3
+        Density; None if the page does not state it.
+    """
+
+    dispersion: Fit | Table
+    wavelength_range_um: tuple[float, float]
+    thermal: Thermal
+    density_g_per_cm3: float | None
+
+
+def read_page(page: Page) -> PageData:
+    """Read the data of a page.
 
     Raises
     ------
@@ -133,21 +145,29 @@ def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float], Thermal]:
     path = _folder() / "database" / "data" / page.file
     whole = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
     thermal = PLASTICS.get((page.shelf, page.book, page.page)) or _thermal(whole)
+    density = _density_g_per_cm3(whole)
     for section in whole["DATA"]:
         kind, _, detail = section["type"].partition(" ")
         if kind == "formula" and detail in ("1", "2", "3", "5"):
             shortest, longest = (section.get("wavelength_range") or section["range"]).split()[:2]
             fit = Fit(int(detail), tuple(float(number) for number in section["coefficients"].split()))
-            return fit, (float(shortest), float(longest)), thermal
+            return PageData(fit, (float(shortest), float(longest)), thermal, density)
         if kind == "tabulated" and detail.startswith("n"):
             rows = sorted(
                 tuple(float(n) for n in row.split()[:2]) for row in section["data"].split("\n") if row
             )
             wavelengths, indices = zip(*rows, strict=True)
-            return Table(wavelengths, indices), (wavelengths[0], wavelengths[-1]), thermal
+            table = Table(wavelengths, indices)
+            return PageData(table, (wavelengths[0], wavelengths[-1]), thermal, density)
     raise MaterialError(
         f"{page.shelf}/{page.book}/{page.page}: the page has no index by a supported formula (1, 2, 3 or 5)"
     )
+
+
+def _density_g_per_cm3(whole: dict[str, Any]) -> float | None:
+    """Return the density, which pages state in kg/m^3; None if it is missing."""
+    sections = (whole.get("PROPERTIES") or {}).get("density") or ()
+    return next((1e-3 * float(section["value"]) for section in sections if "value" in section), None)
 
 
 def _thermal(whole: dict[str, Any]) -> Thermal:

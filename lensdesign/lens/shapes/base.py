@@ -38,14 +38,18 @@ class DrawnTerms:
     Attributes
     ----------
     formula : str
-        The terms that are added to the conic, with digits after ``_`` for subscripts and after ``^`` for
-        superscripts; empty if there are none.
+        The terms that are added to the leading fraction, with digits after ``_`` for subscripts and after
+        ``^`` for superscripts; empty if there are none.
     constants : tuple of (str, float)
         Symbols and values of the constants in the formula.
+    fraction : tuple of str
+        Numerator and denominator of the leading fraction; None for that of a conic with R and k, or of a
+        plane.
     """
 
     formula: str = ""
     constants: tuple[tuple[str, float], ...] = ()
+    fraction: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,8 @@ class Section:
 
     Attributes
     ----------
+    kind : str
+        Name of the simplest shape of revolution with this section, or of the shape of the surface.
     curvature, conic : float
         Curvature in 1/mm and conic constant of the conic.
     edge_radius_mm : float
@@ -62,6 +68,7 @@ class Section:
         Function of radial heights in mm that returns the departure in mm, and its slope.
     """
 
+    kind: str
     curvature: float
     conic: float
     edge_radius_mm: float
@@ -140,7 +147,7 @@ class Shape(ABC):
         """Return the section of the surface at an azimuth, from +x towards +y."""
         shape = self.traced
         curvature, conic = shape.start(shape.terms)
-        return Section(float(curvature), float(conic), self.edge_radius_mm, shape.departure)
+        return Section(self.kind, float(curvature), float(conic), self.edge_radius_mm, shape.departure)
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         """Return type and numbered parameters (PARM) of the Zemax surface, besides CURV and CONI."""

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import FormulaShape, Point, Section, curvature_of, radius_of
+from lensdesign.lens.shapes.base import DrawnTerms, FormulaShape, Point, Section, curvature_of, radius_of
 from lensdesign.lens.shapes.conic import Conic
 
 
@@ -114,6 +114,14 @@ class Biconic(FormulaShape):
         c = cx * x2 + cy * y2
         section = Conic(np.array([c, (qx * x2 + qy * y2) / (c * c) - 1.0 if c else 0.0]))
         return section.section(azimuth_rad)
+
+    def drawn(self) -> DrawnTerms:
+        cy, ky, cx, kx = map(float, self.terms)
+        sections = [(name, c, k) for name, c, k in (("x", cx, kx), ("y", cy, ky)) if c]
+        constants = [value for name, c, k in sections for value in ((f"R{name}", 1.0 / c), (f"k{name}", k))]
+        above = " + ".join(f"{name}^2/R{name}" for name, _, _ in sections)
+        below = "".join(f" − (1 + k{name}) {name}^2/R{name}^2" for name, _, _ in sections)
+        return DrawnTerms("", tuple(constants), (above or "0", f"1 + √(1{below})"))
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         radius = radius_of(float(self.terms[2])) if self.terms[2] else 0.0

@@ -164,7 +164,7 @@ class Toroid(FormulaShape):
             sag, by_x, by_y = self.sag_and_slopes(r * across, r * down)
             return sag - 0.5 * paraboloid * r * r, by_x * across + by_y * down - paraboloid * r
 
-        return Section(paraboloid, -1.0, math.inf, departure)
+        return Section(self.kind, paraboloid, -1.0, math.inf, departure)
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         radius = radius_of(float(self.terms[2])) if self.terms[2] else 0.0

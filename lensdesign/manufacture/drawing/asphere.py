@@ -1,14 +1,19 @@
-"""Panel of a conic or an asphere on a drawing (ISO 10110-12): formula, constants and a sag table."""
+"""Panel of a conic, an asphere or a biconic on a drawing (ISO 10110-12): formula, constants, sags."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
+
+import numpy as np
 
 from lensdesign.analysis.sag_tables import SagTable, sag_table
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import DrawnTerms
+from lensdesign.lens.surface import Surface
 from lensdesign.manufacture.drawing.primitives import Area, Item, Text, cell, fitted, line, text_width_mm
+from lensdesign.manufacture.drawing.tolerances import SurfaceTolerances
 
 LINE_MM, TEXT_MM = 4.1, 2.6
 
@@ -16,10 +21,10 @@ SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def asphere_panel(
-    lens: Lens, index: int, name: str, area: Area, conic_tolerance: float | None = None
-) -> list[Item]:
-    """Draw formula, constants and sag table of one surface.
+def asphere_panel(lens: Lens, index: int, name: str, area: Area, tolerances: SurfaceTolerances) -> list[Item]:
+    """Draw formula, constants, slope tolerance and sag table of one surface.
+
+    The sags of a biconic are those along x and y; a note explains its orientation mark.
 
     Parameters
     ----------
@@ -31,20 +36,23 @@ def asphere_panel(
         Name of the surface on the drawing.
     area
         Area of the panel on the sheet.
-    conic_tolerance
-        Tolerance (±) of the conic constant (default: none).
+    tolerances
+        Tolerances of the surface; those of conic constant and slope are used.
     """
     surface = lens.surfaces[index]
+    rotational = surface.shape.ROTATIONAL
     top = area.top - LINE_MM
-    items: list[Item] = [
-        cell(Area(area.left, top, area.right, area.top), f"{name}: {surface.kind}; r, z in mm", 3.0)
-    ]
+    head = f"{name}: {surface.kind}; {'r' if rotational else 'x, y'}, z in mm"
+    items: list[Item] = [cell(Area(area.left, top, area.right, area.top), head, 3.0)]
     drawn = surface.shape.drawn()
-    conic = surface.conic if "conic" in surface.shape_keys else None
-    formula, rows_of_formula = _formula(surface.radius_mm, conic, drawn, Area(*area[:3], top))
+    conic = surface.conic if "conic" in surface.shape_keys and rotational else None
+    radius = surface.radius_mm if rotational else None
+    fraction = drawn.fraction or (None if radius is None else _conic_fraction(conic))
+    sag = "z(r)" if rotational else "z(x, y)"
+    formula, rows_of_formula = _formula(sag, fraction, drawn.formula, Area(*area[:3], top))
     items += formula
     top -= rows_of_formula * LINE_MM
-    constants = _constants(surface.radius_mm, conic, drawn, conic_tolerance)
+    constants = _constants(radius, conic, drawn, tolerances.conic)
     # Largest number of constants in a column.
     max_rows = 11
     columns = 1 if len(constants) <= max_rows else 2
@@ -56,10 +64,19 @@ def asphere_panel(
         x, y = area.left + column * width, top - row * LINE_MM
         items.append(cell(Area(x, y - LINE_MM, x + width, y), text, size))
     top -= (rows + 0.4) * LINE_MM
+    if tolerances.slope is not None:
+        for text in tolerances.slope.lines:
+            items.append(cell(Area(area.left, top - LINE_MM, area.right, top), text, TEXT_MM))
+            top -= LINE_MM
+        top -= 0.4 * LINE_MM
     if surface.semi_diameter_mm is not None:
-        # The drawing specifies the nominal shape, not a measured one.
         spacing = _spacing(surface.semi_diameter_mm)
-        items += _sags(sag_table(lens.with_surface(index, figure=None), index, spacing), area, top)
+        # The drawing specifies the nominal shape, not a measured one.
+        nominal = lens.with_surface(index, figure=None)
+        if rotational:
+            items += _sags(sag_table(nominal, index, spacing), area, top)
+        else:
+            items += _sags_along_x_and_y(nominal.surfaces[index], spacing, area, top)
     return items
 
 
@@ -80,17 +97,20 @@ def _typeset(formula: str) -> str:
     return re.sub(r"_m\b", "ₘ", lowered).replace("r_N", "rₙ")
 
 
-def _formula(
-    radius: float | None, conic: float | None, drawn: DrawnTerms, area: Area
-) -> tuple[list[Item], float]:
-    """Draw the formula z(r) with a fraction bar; return also its height in lines.
+def _conic_fraction(conic: float | None) -> tuple[str, str]:
+    """Return numerator and denominator of the sag of a conic or a sphere (None)."""
+    return "r^2", f"R (1 + √(1 − {'' if conic is None else '(1 + k) '}r^2/R^2))"
+
+
+def _formula(sag: str, fraction: tuple[str, str] | None, terms: str, area: Area) -> tuple[list[Item], float]:
+    """Draw the formula of a sag with a fraction bar; return also its height in lines.
 
     Terms that would make it small stand on a line of their own.
     """
-    curved, above = radius is not None, "r²"
-    below = f"R (1 + √(1 − {'' if conic is None else '(1 + k) '}r²/R²))"
-    terms, width_mm = _typeset(drawn.formula), area.width - 4.0
-    head, tail = "z(r) = ", f" + {terms}" if terms and curved else terms
+    curved = fraction is not None
+    above, below = map(_typeset, fraction or ("", ""))
+    terms, width_mm = _typeset(terms), area.width - 4.0
+    head, tail = f"{sag} = ", f" + {terms}" if terms and curved else terms
     conic_mm = text_width_mm(head + (below if curved else ""), 1.0)
     is_on_one_line = conic_mm + text_width_mm(tail, 1.0) <= width_mm / (0.75 * TEXT_MM) or not curved
     size = min(TEXT_MM, width_mm / (conic_mm + (text_width_mm(tail, 1.0) if is_on_one_line else 0.0)))
@@ -119,10 +139,29 @@ def _spacing(semi_mm: float) -> float:
     return next(step * decade for step in steps if semi_mm / (step * decade) <= 9.0)
 
 
+def _sags_along_x_and_y(surface: Surface, spacing_mm: float, area: Area, top: float) -> list[Item]:
+    """Draw the sags of a biconic along its two axes, and the meaning of the orientation mark."""
+    semi = surface.semi_diameter_mm or 0.0
+    heights = np.append(np.arange(0.0, semi * (1.0 - 1e-9), spacing_mm), semi)
+    along_x, along_y = surface.shape.sag(heights, 0.0 * heights), surface.shape.sag(0.0 * heights, heights)
+    rows = [(f"{h:.5g}", f"{x:z.6f}", f"{y:z.6f}") for h, x, y in zip(heights, along_x, along_y, strict=True)]
+    note = "▼ on the edge: orientation mark at +y; section x = 0"
+    return _table(("h (mm)", "z(h, 0) (mm)", "z(0, h) (mm)"), rows, note, area, top)
+
+
 def _sags(table: SagTable, area: Area, top: float) -> list[Item]:
     heads = ("r (mm)", "z (mm)", "dz/dr", "Δ (µm)")
     values = zip(table.radial_height_mm, table.sag_mm, table.slope, table.departure_mm, strict=True)
     rows = [(f"{r:.5g}", f"{z:z.6f}", f"{slope:z.5f}", f"{1e3 * dz:z.3f}") for r, z, slope, dz in values]
+    sphere = f"the best-fit sphere of R = {table.best_fit_radius_mm:.7g} mm"
+    note = f"Δ: from {'the plane' if math.isinf(table.best_fit_radius_mm) else sphere}"
+    return _table(heads, rows, note, area, top)
+
+
+def _table(
+    heads: tuple[str, ...], rows: Sequence[tuple[str, ...]], note: str, area: Area, top: float
+) -> list[Item]:
+    """Draw a table of numbers with a note below it."""
     width = area.width / len(heads)
     size = min(fitted(text, width - 3.0, TEXT_MM)[1] for texts in rows for text in texts)
     items: list[Item] = []
@@ -133,8 +172,6 @@ def _sags(table: SagTable, area: Area, top: float) -> list[Item]:
             items.append(cell(Area(x, y - LINE_MM, x + width, y), text, size, "end"))
     items.append(line(area.left + 1.5, top - LINE_MM, area.right - 1.5, top - LINE_MM, 0.2))
     y = top - (len(rows) + 2.1) * LINE_MM
-    sphere = f"the best-fit sphere of R = {table.best_fit_radius_mm:.7g} mm"
-    note = f"Δ: from {'the plane' if math.isinf(table.best_fit_radius_mm) else sphere}"
     text, size = fitted(note, area.width - 3.0, 2.4)
     items.append(Text(area.left + 1.5, y + 0.3 * LINE_MM, text, size))
     return items

@@ -131,7 +131,9 @@ def section_view(element: Element, tolerances: DrawingTolerances, area: Area) ->
     items += _clear_diameters(body, element)
     items += _ground_diameter(body, _toleranced(2.0 * element.edge_mm, tolerances, "diameter_mm", "Ø "))
     items += _thickness(body, _toleranced(thickness, tolerances, "thickness_mm"))
-    items += _edge_thickness(body, f"({element.edge_thickness_mm:.4g})")
+    items += _edge_thickness(body, f"({back[-1, 1] - front[-1, 1]:.4g})")
+    if not element.rotational:
+        items.append(_orientation_mark(body))
     items += _flange(body, element.edge.flange)
     return SectionView(tuple(items), scale)
 
@@ -338,6 +340,13 @@ def _edge_thickness(body: _Body, text: str) -> list[Item]:
     x0, x1 = float(body.front[-1, 1]), float(body.back[-1, 1])
     y = body.axis_y + body.outer + TOP_MM - 3.0 - 2.0 * ASCENT * TEXT_MM
     return _horizontal(y, x0, x1, (edge, edge), text, side=-1.0)
+
+
+def _orientation_mark(body: _Body) -> Stroke:
+    """Return a triangle on the edge that shows the orientation of a body without rotational symmetry."""
+    x, y = 0.5 * float(body.front[-1, 1] + body.back[-1, 1]), body.axis_y + body.outer
+    height, half = 2.4, 1.2
+    return Stroke(((x, y), (x - half, y + height), (x + half, y + height)), 0.1, closed=True, filled=True)
 
 
 def _flange(body: _Body, flange: Flange | None) -> list[Item]:

@@ -29,7 +29,12 @@ from lensdesign.manufacture.drawing.primitives import (
 )
 from lensdesign.manufacture.drawing.section_view import section_view
 from lensdesign.manufacture.drawing.table import Material, data_table, material_of
-from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, general_tolerances
+from lensdesign.manufacture.drawing.tolerances import (
+    DrawingTolerances,
+    FormUnit,
+    SurfaceTolerances,
+    general_tolerances,
+)
 
 FRAME = Area(20.0, 10.0, SHEET_MM[0] - 10.0, SHEET_MM[1] - 10.0)
 TITLE_TOP, TABLE_TOP = 34.0, 84.0
@@ -46,8 +51,11 @@ class DrawingOptions(FrozenModel):
         Title of the drawing (default: the title of the lens).
     number
         Number of the drawing or the part.
-    date, drawn_by
-        Entries of the title block.
+    revision, date, drawn_by
+        Entries of the title block; an empty one is marked on the sheet as to be filled.
+    form_unit
+        Unit of the surface form tolerances 3/, ``fringes`` or ``nm``, on all sheets (default: fringe
+        spacings, or nm where the tolerances are stated in nm).
     tolerances
         Tolerances of each glass element, front to back; None (default): general tolerances of ISO 10110-11.
     remark
@@ -56,8 +64,10 @@ class DrawingOptions(FrozenModel):
 
     title: Label = ""
     number: Label = ""
+    revision: Label = ""
     date: Label = ""
     drawn_by: Label = ""
+    form_unit: FormUnit | None = None
     tolerances: tuple[DrawingTolerances | None, ...] = ()
     remark: Label = ""
 
@@ -65,9 +75,10 @@ class DrawingOptions(FrozenModel):
 def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
     """Draw every glass element of a lens with its nominal values, without measured figures.
 
-    Each sheet has a section view to scale, the table of ISO 10110-10, formula and sags of conics and aspheres
-    (ISO 10110-12), and a title block. The left surface is the one that light meets first. The datum axis A of
-    the centring tolerances (4/) is the axis of the ground edge at the mechanical semi-diameter of the lens.
+    Each sheet has a section view to scale, the table of ISO 10110-10, formula and sags of conics, aspheres
+    and biconics (ISO 10110-12), and a title block. The section of a biconic is the plane x = 0; a mark on the
+    edge shows +y. The left surface is the one that light meets first. The datum axis A of the centring
+    tolerances (4/) is the axis of the ground edge at the mechanical semi-diameter of the lens.
     :func:`drawing_as_stated` rounds the values and chooses the edges.
 
     Parameters
@@ -146,7 +157,9 @@ def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
 def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -> Sheet:
     tolerances = element_tolerances(element, options)
     material = material_of(lens, element, tolerances)
+    sides = dict(zip(element.surfaces, (tolerances.left, tolerances.right), strict=True))
     aspheric = [i for i in element.surfaces if lens.surfaces[i].kind not in ("plane", "sphere")]
+    _check_slopes(lens, sides, aspheric)
     upper = Area(FRAME.left, TABLE_TOP, FRAME.right, FRAME.top)
     # Width of the panel with formula and sags of one surface.
     panel_mm = 62.0
@@ -157,14 +170,13 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
         left = view_area.right + panel_mm * k
         name = "Left surface (L)" if i == element.surfaces[0] else "Right surface (R)"
         panel = Area(left, upper.bottom + 2.0, left + panel_mm, upper.top - 2.0)
-        side = tolerances.left if i == element.surfaces[0] else tolerances.right
-        items += asphere_panel(lens, i, name, panel, side.conic)
+        items += asphere_panel(lens, i, name, panel, sides[i])
     media = lens.indices(lens.wavelengths_um[0])
     first, last = element.surfaces
     cemented = bool(media[first] != 1.0), bool(media[last + 1] != 1.0)
     table = Area(FRAME.left, TITLE_TOP, FRAME.right, TABLE_TOP)
     items += data_table(element, cemented, material, tolerances, table)
-    mass = _mass_text(element, tolerances)
+    mass = _mass_text(element, material.density_g_per_cm3)
     rows = _title_rows(options, lens, element, material, mass, view.scale_text, sheets)
     items += _title_block(rows, _notes(tolerances), options.remark)
     return Sheet(tuple(items))
@@ -200,9 +212,9 @@ def element_tolerances(
             base = general_tolerances(max(2.0 * element.edge_mm, thickness))
         except InputError as error:
             raise InputError(f"{element.name}: {error}") from error
-    if assumed is None:
-        return base
-    return assumed.stated(element.index, element.surfaces[0], base, general)
+    if assumed is not None:
+        base = assumed.stated(element.index, element.surfaces[0], base, general)
+    return base if options.form_unit is None else base.replaced(form_unit=options.form_unit)
 
 
 def drawing_as_stated(
@@ -263,9 +275,21 @@ TitleCell = tuple[str, str, float]
 """Label, text, and width as a fraction of the frame."""
 
 
-def _mass_text(element: Element, tolerances: DrawingTolerances) -> str:
-    density = tolerances.density_g_per_cm3
-    return "" if density is None else f"{1e-3 * density * element.volume_mm3:.4g} g"
+TO_BE_FILLED = "to be filled"
+"""Entry of the title block without a value."""
+
+
+def _check_slopes(lens: Lens, sides: dict[int, SurfaceTolerances], aspheric: list[int]) -> None:
+    for index, side in sides.items():
+        if side.slope is not None and index not in aspheric:
+            raise InputError(
+                f"slope: surface {index + 1} is a {lens.surfaces[index].kind}; a slope tolerance is allowed "
+                "for conics, aspheres and biconics"
+            )
+
+
+def _mass_text(element: Element, density_g_per_cm3: float | None) -> str:
+    return "" if density_g_per_cm3 is None else f"{1e-3 * density_g_per_cm3 * element.volume_mm3:.4g} g"
 
 
 def _title_rows(
@@ -281,9 +305,10 @@ def _title_rows(
     title = options.title or lens.title or "Lens"
     return [
         [
-            ("Title", title, 0.58),
-            ("Drawing no.", options.number, 0.26),
-            ("Sheet", f"{element.index + 1} of {sheets}", 0.16),
+            ("Title", title, 0.52),
+            ("Drawing no.", options.number, 0.22),
+            ("Revision", options.revision, 0.14),
+            ("Sheet", f"{element.index + 1} of {sheets}", 0.12),
         ],
         [
             ("Part", element.name, 0.24),
@@ -307,8 +332,8 @@ def _title_block(rows: list[list[TitleCell]], notes: str, remark: str) -> list[I
         for label, text, fraction in row:
             width = fraction * FRAME.width
             items.append(cell(Area(x, top - 3.2, x + width, top - 0.4), label, 2.0))
-            if text:
-                items.append(cell(Area(x, top - step + 0.3, x + width, top - 3.3), text, 3.6, least_mm=2.6))
+            entry, size = (text, 3.6) if text else (TO_BE_FILLED, 2.6)
+            items.append(cell(Area(x, top - step + 0.3, x + width, top - 3.3), entry, size, least_mm=2.6))
             if x > FRAME.left:
                 items.append(line(x, top - step, x, top))
             x += width
@@ -322,10 +347,11 @@ def _title_block(rows: list[list[TitleCell]], notes: str, remark: str) -> list[I
 
 
 def _notes(tolerances: DrawingTolerances) -> str:
+    unit = "fringe spacings" if tolerances.form_unit == "fringes" else "nm"
     notes = [
         "Ind. according to ISO 10110",
         "dimensions in mm",
-        f"3/ in fringe spacings, λ = {1e3 * tolerances.fringe_wavelength_um:.5g} nm",
+        f"3/ in {unit}, λ = {1e3 * tolerances.fringe_wavelength_um:.5g} nm",
         "4/ against datum axis A",
         "z positive to the right",
     ]

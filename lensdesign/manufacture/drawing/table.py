@@ -18,15 +18,16 @@ OPEN = "–"
 
 @dataclass(frozen=True)
 class Material:
-    """Name of a glass, and the rows of its column."""
+    """Name of a glass, the rows of its column, and its density in g/cm^3 (None: unknown)."""
 
     name: str
     rows: tuple[str, ...]
+    density_g_per_cm3: float | None = None
 
 
 def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> Material:
     """Return name and catalogue of an element's glass, its indices and the codes 0/, 1/ and 2/."""
-    from lensdesign.lens.glass import glass_summary, refractive_index
+    from lensdesign.lens.glass import get_material, glass_summary, refractive_index
 
     glass = element.front.surface.material
     assert glass is not None  # every element consists of glass
@@ -46,6 +47,7 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
     if tolerances.index is not None:
         indices[-1] += f" ±{tolerances.index:g}{tolerances.mark('index')}"
     more = len(lens.wavelengths_um) - max_wavelengths
+    density = tolerances.density_g_per_cm3 or get_material(glass, lens.glass_catalogs).density_g_per_cm3
     return Material(
         name,
         (
@@ -56,8 +58,9 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
             f"0/ {tolerances.stress_birefringence or OPEN}{tolerances.mark('stress_birefringence')}",
             f"1/ {tolerances.bubbles.replace('x', ' × ') or OPEN}{tolerances.mark('bubbles')}",
             f"2/ {tolerances.inhomogeneity or OPEN}{tolerances.mark('inhomogeneity')}",
-            f"density {tolerances.density_g_per_cm3:g} g/cm³" if tolerances.density_g_per_cm3 else "",
+            f"density {density:.4g} g/cm³" if density else "",
         ),
+        density,
     )
 
 
@@ -84,11 +87,15 @@ def data_table(
         Area of the table on the sheet.
     """
     (_, front_bevel), (_, back_bevel) = element.edge.sides()
-    fringe = tolerances.fringe_wavelength_um
-    left = _surface_rows(element.front.surface, tolerances.left, fringe, 1.0, cemented[0], front_bevel)
-    right = _surface_rows(element.back.surface, tolerances.right, fringe, -1.0, cemented[1], back_bevel)
-    columns = (("Left surface (L)", left), ("Material", material.rows), ("Right surface (R)", right))
-    step = area.height / (len(left) + 1)
+    left, right = tolerances.left, tolerances.right
+    left_rows = _surface_rows(element.front.surface, left, tolerances, 1.0, cemented[0], front_bevel)
+    right_rows = _surface_rows(element.back.surface, right, tolerances, -1.0, cemented[1], back_bevel)
+    columns = (
+        ("Left surface (L)", left_rows),
+        ("Material", material.rows),
+        ("Right surface (R)", right_rows),
+    )
+    step = area.height / (len(left_rows) + 1)
     width = area.width / len(columns)
     items: list[Item] = [frame(area, THICK_MM)]
     for index, (head, rows) in enumerate(columns):
@@ -120,18 +127,18 @@ def _column(rows: Sequence[str], area: Area, is_surface: bool) -> list[Item]:
 def _surface_rows(
     surface: Surface,
     tolerances: SurfaceTolerances,
-    fringe_um: float,
+    sheet: DrawingTolerances,
     outward: float,
     cemented: bool,
     bevel_mm: float,
 ) -> tuple[str, ...]:
     semi = surface.semi_diameter_mm
     return (
-        _radius(surface, tolerances, outward, fringe_um),
+        _radius(surface, tolerances, outward, sheet.fringe_wavelength_um),
         clear_text(semi) if semi is not None else f"Øₑ {OPEN}",
         f"Prot. chamfer {_chamfer(bevel_mm, tolerances)}",
         tolerances.coating or ("cemented" if cemented else OPEN),
-        _form(tolerances),
+        _form(tolerances, sheet),
         _centring(tolerances),
         f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}{tolerances.mark('imperfections')}",
         f"6/ {tolerances.laser_damage or OPEN}",
@@ -163,29 +170,51 @@ def _centring(tolerances: SurfaceTolerances) -> str:
 def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float, fringe_um: float) -> str:
     """Return the vertex radius with CX or CC; a tolerance in brackets follows from the fringes of 3/."""
     kind = "" if surface.kind in ("plane", "sphere") else f", {surface.kind}"
-    if surface.radius_mm is None:
-        return f"R ∞{kind}"
+    sections: tuple[tuple[str, float | None], ...] = (("R", surface.radius_mm),)
+    if not surface.shape.ROTATIONAL:
+        sections = (("Rx", surface.radius_x_mm), ("Ry", surface.radius_mm))
+    texts = (
+        f"{name} {_one_radius(surface, radius, tolerances, outward, fringe_um)}" for name, radius in sections
+    )
+    return ", ".join(texts) + kind
+
+
+def _one_radius(
+    surface: Surface, radius_mm: float | None, tolerances: SurfaceTolerances, outward: float, fringe_um: float
+) -> str:
+    if radius_mm is None:
+        return "∞"
     own = tolerances.radius_mm
     tolerance = f" ±{own:g}{tolerances.mark('radius_mm')}" if own is not None else ""
-    if not tolerance and (allowed := tolerances.radius_allowed_mm(surface, fringe_um)):
+    if not tolerance and (allowed := tolerances.radius_allowed_mm(surface, fringe_um, radius_mm)):
         tolerance = f" (±{allowed:.2g})"
-    side = "CX" if outward * surface.radius_mm > 0.0 else "CC"
-    return f"R {abs(surface.radius_mm):.8g}{tolerance} {side}{kind}"
+    side = "CX" if outward * radius_mm > 0.0 else "CC"
+    return f"{abs(radius_mm):.8g}{tolerance} {side}"
 
 
-def _form(tolerances: SurfaceTolerances) -> str:
-    """Return indication 3/A(B/C), with the test diameter if it is given."""
-    a, b, c = (
-        OPEN if (value := getattr(tolerances, name)) is None else f"{value:g}{tolerances.mark(name)}"
-        for name in ("radius_fringes", "irregularity_fringes", "symmetric_fringes")
+def _form(tolerances: SurfaceTolerances, sheet: DrawingTolerances) -> str:
+    """Return indication 3/A(B/C) in the unit of the sheet, with the test diameter if it is given."""
+
+    def indication(name: str) -> str:
+        value = getattr(tolerances, name)
+        return OPEN if value is None else sheet.form_text(value, tolerances.mark(name))
+
+    a, b, c, rms = (
+        indication(name)
+        for name in (
+            "radius_fringes",
+            "irregularity_fringes",
+            "symmetric_fringes",
+            "rms_irregularity_fringes",
+        )
     )
-    if a == b == OPEN and tolerances.rms_irregularity_fringes is None:
+    if a == b == rms == OPEN:
         return f"3/ {OPEN}"
     inner = b if c == OPEN else f"{b}/{c}"
     diameter = tolerances.test_diameter_mm
-    rms = tolerances.rms_irregularity_fringes
+    gap = "" if sheet.form_unit == "fringes" else " "
     return (
-        f"3/ {a}({inner})"
-        + (f" RMSi < {rms:g}{tolerances.mark('rms_irregularity_fringes')}" if rms is not None else "")
+        f"3/ {a}{gap}({inner})"
+        + (f" RMSi < {rms}" if rms != OPEN else "")
         + (f" (all Ø {diameter:g}{tolerances.mark('test_diameter_mm')})" if diameter is not None else "")
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Annotated, Any, Self
+import math
+from collections.abc import Collection, Mapping
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -57,6 +58,52 @@ class MarkedTolerances(FrozenModel):
         return name != "source" and stated and not isinstance(value, FrozenModel)
 
 
+class SlopeTolerance(FrozenModel):
+    """Slope tolerance of a conic, an asphere or a biconic (ISO 10110-12).
+
+    Attributes
+    ----------
+    slope_mrad
+        Largest deviation of the slope from the nominal one in mrad.
+    length_mm
+        Integration length in mm: each slope is that of the line through the heights over this length.
+    sampling_mm
+        Largest distance of the measured heights in mm.
+    """
+
+    slope_mrad: Positive
+    length_mm: Positive
+    sampling_mm: Positive
+
+    @property
+    def lines(self) -> tuple[str, str]:
+        """Indication on the sheet, in two lines."""
+        return (
+            f"slope error ≤ {self.slope_mrad:g} mrad",
+            f"integration length {self.length_mm:g}, sampling {self.sampling_mm:g} mm",
+        )
+
+    @model_validator(mode="after")
+    def _sampled(self) -> Self:
+        if self.sampling_mm > self.length_mm:
+            raise ValueError(
+                f"sampling_mm = {self.sampling_mm:g} must not be greater than length_mm = {self.length_mm:g}"
+            )
+        return self
+
+
+FormUnit = Literal["fringes", "nm"]
+"""Unit of the surface form tolerances 3/ on a sheet: fringe spacings, or nanometres."""
+
+FORM_IN_NM = {
+    "sagitta_nm": "radius_fringes",
+    "irregularity_nm": "irregularity_fringes",
+    "symmetric_nm": "symmetric_fringes",
+    "rms_irregularity_nm": "rms_irregularity_fringes",
+}
+"""Keys of a file for form tolerances in nanometres, and the values in fringe spacings that they set."""
+
+
 class SurfaceTolerances(MarkedTolerances):
     """Tolerances of one surface on a drawing; None or an empty text omits an indication.
 
@@ -77,6 +124,8 @@ class SurfaceTolerances(MarkedTolerances):
         mm.
     conic
         Tolerance (±) of the conic constant.
+    slope
+        Slope tolerance of a surface that is neither a plane nor a sphere.
     imperfections
         5/: number and grade, such as ``5x0.25``.
     laser_damage
@@ -96,23 +145,36 @@ class SurfaceTolerances(MarkedTolerances):
     centring_arcmin: NotNegative | None = None
     decenter_mm: NotNegative | None = None
     conic: Positive | None = None
+    slope: SlopeTolerance | None = None
     imperfections: ShortText = ""
     laser_damage: ShortText = ""
     chamfer_mm: tuple[NotNegative, NotNegative] | None = None
     coating: ShortText = ""
 
-    def radius_allowed_mm(self, surface: Surface, fringe_um: float) -> float | None:
-        """Return the tolerance (±) of a surface's radius in mm; None if it is not specified.
+    def radius_allowed_mm(
+        self, surface: Surface, fringe_um: float, radius_mm: float | None = None
+    ) -> float | None:
+        """Return the tolerance (±) of a radius of a surface in mm; None if it is not specified.
 
         A fringe spacings over a radial height h are a sagitta of A wavelength / 2 = h^2 dR / (2 R^2).
+
+        Parameters
+        ----------
+        surface
+            The surface.
+        fringe_um
+            Test wavelength in um.
+        radius_mm
+            The radius, such as that of the other section of a biconic (default: `radius_mm` of the surface).
         """
-        if self.radius_mm is not None or self.radius_fringes is None or surface.radius_mm is None:
+        radius_mm = surface.radius_mm if radius_mm is None else radius_mm
+        if self.radius_mm is not None or self.radius_fringes is None or radius_mm is None:
             return self.radius_mm
         clear = surface.semi_diameter_mm
         heights = [h for h in (clear, 0.5 * (self.test_diameter_mm or 0.0)) if h]
         if not heights:
             return None
-        return 1e-3 * fringe_um * self.radius_fringes * (surface.radius_mm / min(heights)) ** 2
+        return 1e-3 * fringe_um * self.radius_fringes * (radius_mm / min(heights)) ** 2
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -128,6 +190,10 @@ class SurfaceTolerances(MarkedTolerances):
 class DrawingTolerances(MarkedTolerances):
     """Tolerances of one glass element on a drawing.
 
+    In a file, ``left`` and ``right`` may state the form tolerances in nanometres instead of fringe spacings:
+    ``sagitta_nm``, ``irregularity_nm``, ``symmetric_nm`` and ``rms_irregularity_nm``. They are converted with
+    the wavelength of the sheet, which then shows nanometres.
+
     Attributes
     ----------
     left, right
@@ -139,9 +205,11 @@ class DrawingTolerances(MarkedTolerances):
     stress_birefringence, bubbles, inhomogeneity
         0/ in nm/cm, 1/ and 2/ in the notation of ISO 10110-2 to 10110-4.
     fringe_wavelength_um
-        Wavelength in um; a fringe spacing is half of it.
+        Test wavelength in um; a fringe spacing is half of it.
+    form_unit
+        Unit of the form tolerances on the sheet: ``fringes`` or ``nm``.
     density_g_per_cm3
-        Density of the glass, from its data sheet. Without it the drawing states no mass.
+        Density of the glass, from its data sheet (default: that of the catalogue).
     source
         Source of the values, which the drawing states.
     """
@@ -156,8 +224,46 @@ class DrawingTolerances(MarkedTolerances):
     bubbles: ShortText = ""
     inhomogeneity: ShortText = ""
     fringe_wavelength_um: Positive = MERCURY_LINE_UM
+    form_unit: FormUnit = "fringes"
     density_g_per_cm3: Positive | None = None
     source: ShortText = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _form_in_fringes(cls, values: Any) -> Any:
+        """Convert form tolerances in nanometres to fringe spacings."""
+        if not isinstance(values, Mapping):
+            return values
+        fringe_um = values.get("fringe_wavelength_um", MERCURY_LINE_UM)
+        sides = {side: values[side] for side in ("left", "right") if isinstance(values.get(side), Mapping)}
+        stated = {side: sorted(FORM_IN_NM.keys() & table.keys()) for side, table in sides.items()}
+        if not any(stated.values()) or not _is_positive(fringe_um):
+            return values
+        fringes = [
+            f"{side}.{name}" for side, table in sides.items() for name in FORM_IN_NM.values() if name in table
+        ]
+        if fringes or values.get("form_unit") == "fringes":
+            keys = ", ".join(f"{side}.{key}" for side, names in stated.items() for key in names)
+            other = ", ".join(fringes) or "form_unit = 'fringes'"
+            raise ValueError(f"{keys} and {other}: state all form tolerances of a sheet in one unit")
+        converted: dict[str, Any] = {}
+        for side, table in sides.items():
+            for key in stated[side]:
+                if not _is_positive(table[key]):
+                    raise ValueError(f"{side}.{key} = {table[key]!r}: must be a finite number above 0")
+            own = {FORM_IN_NM[key]: table[key] / (500.0 * fringe_um) for key in stated[side]}
+            converted[side] = {key: value for key, value in table.items() if key not in FORM_IN_NM} | own
+        return {**values, **converted, "form_unit": "nm"}
+
+    def form_text(self, fringes: float, mark: str = "") -> str:
+        """Return a form tolerance in the unit of the sheet; a fringe spacing is half of the wavelength."""
+        if self.form_unit == "fringes":
+            return f"{fringes:g}{mark}"
+        return f"{500.0 * self.fringe_wavelength_um * fringes:.4g}{mark} nm"
+
+
+def _is_positive(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 < value < math.inf
 
 
 def _general(

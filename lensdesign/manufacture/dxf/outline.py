@@ -200,7 +200,7 @@ def _rim(body: Element) -> Array:
 def _add_surface(space: Any, meridian: SurfaceMeridian, layer: str) -> None:
     """Add the section of an optical surface from one rim to the other."""
     attributes = {"layer": layer}
-    shape, (r, z) = meridian.shape, meridian.points(1.0)
+    shape, (r, z) = meridian.section, meridian.points(1.0)
     if shape.kind == "plane":
         space.add_line((z, -r), (z, r), attributes)
         return
@@ -226,7 +226,7 @@ def _add_surface(space: Any, meridian: SurfaceMeridian, layer: str) -> None:
 
 def _half_curve(meridian: SurfaceMeridian) -> tuple[Array, Array, Array | None, int]:
     """Return knots, control points, weights (None: all 1) and degree of a meridian, from the vertex."""
-    if meridian.shape.kind in EXACT:
+    if meridian.section.kind in EXACT:
         points, weights = conic_bezier(meridian)
         return np.repeat([0.0, 1.0], 3), points, weights, 2
     knots, points = asphere_spline(meridian)
@@ -246,7 +246,7 @@ def _measured_curves(sections: list[_Section], path: Path) -> tuple[OutlineCurve
             points[:, 0] = np.abs(points[:, 0])
             off_rim = np.linalg.norm(points[[0, -1]] - meridian.points(1.0), axis=-1)
             deviation = float(np.max(np.append(meridian.distances(points), off_rim)))
-            allowed = EXACT_MM if meridian.shape.kind in EXACT else SPLINE_MM
+            allowed = EXACT_MM if meridian.section.kind in EXACT else SPLINE_MM
             if not deviation <= allowed:
                 raise InputError(
                     f"layer {layer} is {deviation:.3g} mm off its surface when read back; allowed: "

@@ -72,7 +72,7 @@ def _optical_edge(meridian: SurfaceMeridian, index: int) -> Any:
     """Return the meridian of an optical surface as a TopoDS_Edge in the plane y = 0."""
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
 
-    shape = meridian.surface.shape
+    shape = meridian.section
     if shape.kind == "plane":
         return _straight_edge((0.0, meridian.vertex_z_mm), meridian.points(1.0))
     # A file holds 13 digits: beyond a radius of 1 m the centre of an arc would be too imprecise.
@@ -92,7 +92,7 @@ def _arc(meridian: SurfaceMeridian) -> Any:
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
     from OCP.gp import gp_Ax2, gp_Circ, gp_Dir
 
-    radius = 1.0 / meridian.surface.curvature
+    radius = 1.0 / meridian.section.curvature
     side = math.copysign(1.0, radius)
     to_vertex, normal = gp_Dir(0.0, 0.0, -side), gp_Dir(0.0, -side, 0.0)
     frame = gp_Ax2(_point((0.0, meridian.vertex_z_mm + radius)), normal, to_vertex)

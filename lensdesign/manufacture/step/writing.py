@@ -195,7 +195,7 @@ def _measured_body(element: Element, name: str, solid: Any) -> StepBody:
     error_mm = face_error_mm if element.rotational else freeform_error_mm
     errors = [error_mm(face, m) for face, m in zip((faces[0], faces[-1]), meridians, strict=True)]
     for index, meridian, error in zip(element.surfaces, meridians, errors, strict=True):
-        exact = element.rotational and meridian.surface.kind in EXACT
+        exact = element.rotational and meridian.section.kind in EXACT
         allowed = 1e-9 if exact else 1e-6  # the file holds 13 digits; splines deviate by up to 1e-7 mm
         if not error <= allowed:
             raise InputError(

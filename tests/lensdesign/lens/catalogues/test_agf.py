@@ -46,7 +46,9 @@ def one_glass(formula: int, coefficients: tuple[float, ...]) -> AgfGlass:
 def test_catalogue_is_read() -> None:
     crown, flint = parse_agf(CATALOGUE, "test")
     heat = (1.86e-06, 1.31e-08, -1.37e-11, 4.34e-07, 6.27e-10, 0.17)
-    assert crown == AgfGlass("N-BK7", 2, N_BK7, (0.3, 2.5), "step 0.5 available", 20.0, heat, 1e-6 * 7.1)
+    assert crown == AgfGlass(
+        "N-BK7", 2, N_BK7, (0.3, 2.5), "step 0.5 available", 20.0, heat, 1e-6 * 7.1, 2.51
+    )
     assert (flint.name, flint.formula, flint.wavelength_range_um) == ("E-F2", 1, (0.36501, 1.01398))
     assert len(flint.coefficients) == 6
     assert (flint.comment, flint.reference_temperature_c) == ("", None)

@@ -36,6 +36,14 @@ def test_glasses_have_the_index_that_the_package_gives() -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-14, err_msg=name)
 
 
+def test_densities_are_those_of_the_pages() -> None:
+    assert get_material("N-BK7").density_g_per_cm3 == pytest.approx(2.51)
+    assert get_material("N-BK7@50C").density_g_per_cm3 == pytest.approx(2.51)
+    assert get_material("OHARA:S-LAH79").density_g_per_cm3 == pytest.approx(5.23)
+    assert get_material("PMMA").density_g_per_cm3 is None
+    assert get_material(1.5).density_g_per_cm3 is None
+
+
 def test_a_page_without_a_formula_that_is_known_is_refused() -> None:
     with pytest.raises(MaterialError, match="main/Ar/Peck-15C: the page has no index by a supported formula"):
         read_page(database_pages()["main", "Ar", "Peck-15C"])

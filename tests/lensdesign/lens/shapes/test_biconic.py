@@ -18,7 +18,6 @@ from lensdesign import (
     Surface,
     SurfacePerturbation,
     check_design,
-    lens_drawing,
     load_design,
     read_zmx,
     save_design,
@@ -221,11 +220,6 @@ def test_what_does_not_belong_together_is_refused() -> None:
         Surface.model_validate({"shape": "biconic", "radius_x_mm": 0.0})
     with pytest.raises(ValueError, match=r"height.* 4 mm"):
         Surface.model_validate({"shape": "biconic", "radius_x_mm": 4.0, "semi_diameter_mm": 5.0})
-
-
-def test_drawings_refuse_it_by_name(lens: Lens) -> None:
-    with pytest.raises(InputError, match=r"drawing.*biconic"):
-        lens_drawing(lens)
 
 
 def test_surfaces_that_cross_beside_the_y_axis_are_found(paper_lens: Lens) -> None:

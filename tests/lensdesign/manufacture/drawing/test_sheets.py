@@ -16,6 +16,7 @@ import pytest
 from drawing_checks import FULL, assert_tidy, lens_of, said, singlet
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from random_lenses import lenses, numbers, signed
 
 from lensdesign.errors import DesignError, InputError
@@ -34,7 +35,11 @@ from lensdesign.manufacture.drawing.primitives import (
 )
 from lensdesign.manufacture.drawing.section_view import SCALES, section_view
 from lensdesign.manufacture.drawing.sheets import DrawingOptions, lens_drawing, write_drawing
-from lensdesign.manufacture.drawing.tolerances import SurfaceTolerances, general_tolerances
+from lensdesign.manufacture.drawing.tolerances import (
+    DrawingTolerances,
+    SurfaceTolerances,
+    general_tolerances,
+)
 
 SVG = "{http://www.w3.org/2000/svg}"
 LONG = "A spatial information transfer lens of which there is a great deal to say " * 8
@@ -136,6 +141,122 @@ def test_general_tolerances_go_by_size(largest: float, form: float, centring: fl
     tolerances = general_tolerances(largest)
     assert tolerances.left == tolerances.right
     assert (tolerances.left.radius_fringes, tolerances.left.centring_arcmin) == (form, centring)
+
+
+def test_form_in_nanometres_is_that_in_fringe_spacings() -> None:
+    """A fringe spacing is half of the test wavelength."""
+    lens = singlet(-50.0, None, 4.0, (10.0, 9.0))
+    tables = {
+        "fringe_wavelength_um": 0.6328,
+        "left": {
+            "sagitta_nm": 949.2,
+            "irregularity_nm": 158.2,
+            "symmetric_nm": 79.1,
+            "rms_irregularity_nm": 20,
+        },
+        "right": {"irregularity_nm": 100},
+    }
+    options = DrawingOptions.model_validate({"tolerances": [tables]})
+    assert options.tolerances[0] is not None
+    left = options.tolerances[0].left
+    assert (left.radius_fringes, left.irregularity_fringes, left.symmetric_fringes) == pytest.approx(
+        (3.0, 0.5, 0.25), rel=1e-12
+    )
+    drawing = lens_drawing(lens, options)
+    assert_tidy(drawing)
+    texts = said(drawing.sheets[0])
+    assert "3/ 949.2 nm (158.2 nm/79.1 nm) RMSi < 20 nm" in texts
+    assert "3/ – (100 nm)" in texts
+    assert any("3/ in nm, λ = 632.8 nm" in text for text in texts)
+    fringes = said(lens_drawing(lens, options.replaced(form_unit="fringes")).sheets[0])
+    assert "3/ 3(0.5/0.25) RMSi < 0.0632111" in fringes
+    general = said(lens_drawing(lens, DrawingOptions(form_unit="nm")).sheets[0])
+    assert "3/ 2730 nm (546.1 nm)" in general  # 10 and 2 fringe spacings at 546.07 nm
+
+
+@pytest.mark.parametrize(
+    ("tables", "named"),
+    [
+        (
+            {"left": {"sagitta_nm": 1.0, "irregularity_fringes": 1.0}},
+            "left.sagitta_nm and left.irregularity_f",
+        ),
+        ({"left": {"sagitta_nm": 1.0}, "right": {"radius_fringes": 1.0}}, "right.radius_fringes"),
+        ({"left": {"irregularity_nm": -1.0}}, "left.irregularity_nm = -1.0"),
+        ({"left": {"irregularity_nm": "1"}}, "left.irregularity_nm = '1'"),
+        ({"left": {"irregularity_nm": float("inf")}}, "left.irregularity_nm = inf"),
+        ({"form_unit": "fringes", "left": {"irregularity_nm": 1.0}}, "form_unit"),
+        ({"fringe_wavelength_um": "x", "left": {"irregularity_nm": 1.0}}, "fringe_wavelength_um"),
+        ({"left": {"sagitta_nm": 1.0, "radius_mm": 1.0}}, "radius_mm and radius_fringes"),
+        ({"left": {"slope": {"slope_mrad": 1.0, "length_mm": 1.0, "sampling_mm": 2.0}}}, "sampling_mm = 2"),
+    ],
+)
+def test_form_tolerances_that_contradict_each_other(tables: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValidationError, match=named):
+        DrawingOptions.model_validate({"tolerances": [tables]})
+
+
+SLOPE = {"slope_mrad": 0.3, "length_mm": 1.0, "sampling_mm": 0.1}
+
+
+def test_slope_tolerances_stand_on_the_panel_of_their_surface() -> None:
+    lens = aspheric_doublet(2)
+    tolerances = DrawingTolerances.model_validate({"left": {"slope": SLOPE}})
+    drawing = lens_drawing(lens, DrawingOptions(tolerances=(tolerances,)))
+    assert_tidy(drawing)
+    texts = said(drawing.sheets[0])
+    assert texts.count("slope error ≤ 0.3 mrad") == 1
+    assert "integration length 1, sampling 0.1 mm" in texts
+    with pytest.raises(InputError, match=r"slope: surface 1 is a sphere"):
+        lens_drawing(singlet(20.0, None, 3.0, (6.0, 6.0)), DrawingOptions(tolerances=(tolerances,)))
+
+
+def test_empty_entries_of_the_title_block_are_marked() -> None:
+    lens = singlet(20.0, None, 3.0, (6.0, 6.0))
+    volume_cm3 = 1e-3 * closed_elements(lens)[0].volume_mm3
+    texts = said(lens_drawing(lens).sheets[0])
+    assert texts.count("to be filled") == 4  # drawing number, revision, drawn by, date
+    assert f"{2.51 * volume_cm3:.4g} g" in texts
+    assert "density 2.51 g/cm³" in texts
+    entries = DrawingOptions(number="7", revision="C", date="2020-01-02", drawn_by="N. N.")
+    filled = said(lens_drawing(lens, entries).sheets[0])
+    assert "to be filled" not in filled
+    assert "C" in filled
+    unknown = lens.with_surface(0, material=1.5)
+    assert said(lens_drawing(unknown, entries).sheets[0]).count("to be filled") == 1  # mass
+
+
+def biconic(**more: Any) -> Lens:
+    front = {"shape": "biconic", "radius_mm": 25.0, "radius_x_mm": 41.5, "semi_diameter_mm": 9.0}
+    glass = {"thickness_mm": 9.0, "material": "N-BK7"}
+    return lens_of(front | glass | more, {"radius_mm": -30.0, "conic": -1.0, "semi_diameter_mm": 9.0})
+
+
+@pytest.mark.parametrize("changes", [{}, {"radius_x_mm": None}, {"radius_mm": None}, {"conic_x": -3.5}])
+def test_biconics_have_formula_sags_and_an_orientation_mark(changes: dict[str, Any]) -> None:
+    lens = biconic(**changes)
+    drawing = lens_drawing(lens)
+    assert_tidy(drawing)
+    texts = said(drawing.sheets[0])
+    surface = lens.surfaces[0]
+    for name, radius, conic in (
+        ("x", surface.radius_x_mm, surface.conic_x),
+        ("y", surface.radius_mm, surface.conic),
+    ):
+        constants = [f"R{name} = {radius:.10g}", f"k{name} = {conic:.10g}"] if radius else []
+        assert all(text in texts for text in constants)
+        assert any(f"R{name} {'∞' if radius is None else f'{radius:g} ('}" in text for text in texts)
+    assert sum("orientation mark at +y" in text for text in texts) == 1
+    x, y = (f"{float(surface.shape.sag(*at)):z.6f}" for at in ((9.0, 0.0), (0.0, 9.0)))
+    last = texts.index("9", texts.index("z(h, 0) (mm)"))
+    assert texts[last : last + 3] == ["9", x, y]
+    filled = sum(isinstance(item, Stroke) and item.filled for item in drawing.sheets[0].items)
+    round_lens = lens_of(
+        {"radius_mm": 25.0, "thickness_mm": 9.0, "material": "N-BK7", "semi_diameter_mm": 9.0},
+        {"radius_mm": -30.0, "conic": -1.0, "semi_diameter_mm": 9.0},
+    )
+    items = lens_drawing(round_lens).sheets[0].items
+    assert filled == 1 + sum(isinstance(item, Stroke) and item.filled for item in items)
 
 
 def test_options_can_stand_in_a_file() -> None:
