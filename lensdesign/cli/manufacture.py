@@ -321,6 +321,12 @@ def import_file(
             "--lossy", help="Omit what a design cannot represent.", rich_help_panel=OptionGroup.INPUT
         ),
     ] = False,
+    configuration: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of the configuration to read from a .zmx file.", rich_help_panel=OptionGroup.INPUT
+        ),
+    ] = None,
     working_distance_mm: Annotated[
         float | None, typer.Option(help="Replaces the file's value.", rich_help_panel=OptionGroup.LENS)
     ] = None,
@@ -368,6 +374,7 @@ def import_file(
         pixels=pixels,
         plane_distances_mm=tuple(plane_distance_mm) if plane_distance_mm else None,
         glass_catalogs=tuple(glass_catalog or ()),
+        configuration=configuration,
     )
     found = read_lens_file(file, supplement, lossy)
     deviation = _pose_deviation(found.pose)

@@ -124,6 +124,8 @@ class Supplement:
         See :class:`lensdesign.Sensor`. Files of other programs usually lack the pixels.
     glass_catalogs
         Catalogue files that are searched for glasses first.
+    configuration
+        Number of the configuration to read from a ``.zmx`` file, from 1.
 
     Examples
     --------
@@ -139,6 +141,7 @@ class Supplement:
     pixels: tuple[int, int] | None = None
     plane_distances_mm: tuple[float, ...] | None = None
     glass_catalogs: tuple[Path, ...] = ()
+    configuration: int | None = None
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,10 @@ def read_lens_file(
     MaterialError
         If a glass is unknown.
     """
-    found: Imported = getattr(files, _format_of(path, "read").reader)(path, supplement, lossy)
+    of = _format_of(path, "read")
+    if supplement is not None and supplement.configuration is not None and of.program != "Zemax":
+        raise InputError(f"configuration = {supplement.configuration}: only a .zmx file has several")
+    found: Imported = getattr(files, of.reader)(path, supplement, lossy)
     return found
 
 

@@ -50,6 +50,7 @@ from lensdesign.files.draft import (
     read_note,
     read_vignetting,
 )
+from lensdesign.files.zemax_configurations import text_of_configuration
 from lensdesign.lens.glass import get_material, glass_summary
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
@@ -99,6 +100,13 @@ def read_zmx(
     supplement = supplement or Supplement()
     reader = FileReader(Draft(source=str(path)))
     lines = read_lines(path)
+    if supplement.configuration is not None:
+        configured = text_of_configuration(lines, supplement.configuration, str(path))
+        lines = list(configured.lines)
+        for loss in configured.losses:
+            reader.draft.add_loss(loss)
+        for remark in configured.remarks:
+            reader.draft.add_remark(remark)
     for count, line in enumerate(lines, start=1):
         location = f"{path}, line {count}"
         word, *values = line.split() or [""]
@@ -591,7 +599,10 @@ def _environment(reader: FileReader, values: list[str], location: str) -> None:
 def _configurations(reader: FileReader, values: list[str], location: str) -> None:
     reader.in_trailing_block |= bool(reader.surfaces)
     if integer_at(values, 0, location) > 1:
-        reader.draft.add_loss(f"{values[0]} configurations; the one whose values the surfaces hold is read")
+        reader.draft.add_loss(
+            f"{values[0]} configurations; the one whose values the surfaces hold is read, unless a "
+            "configuration is chosen"
+        )
 
 
 _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
