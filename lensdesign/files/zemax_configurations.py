@@ -1,7 +1,8 @@
 """Configurations of Zemax files (.zmx): the text of a file with the values of one of them.
 
 ``MNUM`` states the number of configurations, and the one whose values the surfaces hold. Rows behind it have
-an operand, the surface (or field, wavelength, ...), the configuration and the value, such as ``THIC 2 3 10.5``.
+an operand, the surface (or field, wavelength, ...), the configuration and the value, such as
+``THIC 2 3 10.5``.
 """
 
 from __future__ import annotations
