@@ -50,7 +50,7 @@ app = make_app(
         "Exchange and make": {
             "import": "Convert the lens file of another program.",
             "figure": "Convert an interferogram to the figure of a surface.",
-            "export": "Write a mesh, exact solids or a file for another program.",
+            "export": "Write a mesh, solids, an outline or another program's file.",
             "scene": "Write lens, sensor planes and rays as a 3D scene.",
             "drawing": "Draw the sheet for the workshop (ISO 10110).",
             "sag": "Tabulate the sag of a surface for the workshop.",

@@ -6,11 +6,13 @@ import math
 import os
 from contextlib import ExitStack
 from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lensdesign.analysis.outline import drawn_outline
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup
@@ -20,6 +22,7 @@ from lensdesign.common.text import finite_or_none, visible
 from lensdesign.errors import InputError
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
 from lensdesign.manufacture.exports import ExportOptions, export_kinds, export_lens
+from lensdesign.manufacture.step.step_files import STEP_SUFFIXES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
     from lensdesign.manufacture.drawing.nominal import Stated
     from lensdesign.manufacture.drawing.predicted_yield import DrawingYield
     from lensdesign.manufacture.drawing.primitives import Drawing
+    from lensdesign.manufacture.step.writing import StepReport
 
 LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
 
@@ -96,7 +100,6 @@ def scene(
 
 def outline_of(lens: Lens) -> tuple[str, ...]:
     """Return one sentence on the outline of each element in a scene."""
-    from lensdesign.analysis.outline import drawn_outline
     from lensdesign.raytrace.paths import sized_lens
 
     return drawn_outline(sized_lens(lens)).statements
@@ -110,7 +113,9 @@ def print_outline(statements: Sequence[str]) -> None:
 
 def drawing(
     design: Design,
-    output: Annotated[Path, output_option("Drawing, .pdf, .svg or .dxf.", "FILE")],
+    output: Annotated[
+        Path, output_option("Drawing, .pdf, .svg or .dxf; or solids with its tolerances, .step.", "FILE")
+    ],
     sheet: Annotated[
         Path | None,
         typer.Option(
@@ -162,6 +167,9 @@ def drawing(
     thicknesses are rounded to a tenth of their tolerance. Notes state all chosen and rounded values. A lens
     that cannot be manufactured is rejected.
 
+    A STEP file (AP242) has the solids of the drawing with its tolerances, which CAD and measuring programs
+    read.
+
     With --tolerances the sheet states the tolerances of the study. Tolerances that the study does not specify
     are derived from it, or are general tolerances if these cost no yield; the sheet marks both. The predicted
     yield with all tolerances of the sheet is printed together with that of the study. A sheet that loses more
@@ -204,7 +212,8 @@ def drawing(
         raise InputError(
             f"cannot write {study_as_drawn}, which needs the predicted yield of the sheet: {reason}"
         )
-    _write_as_drawn(made, stated, predicted_yield, (output, as_drawn, study_as_drawn), design)
+    paths = (output, as_drawn, study_as_drawn)
+    step = _write_as_drawn(made, stated, predicted_yield, paths, design)
     notes = list(stated.notes)
     if predicted_yield is not None:
         notes += _yield_notes(predicted_yield, accept_yield_loss)
@@ -220,7 +229,9 @@ def drawing(
     if reason:
         notes.append(f"the yield of the sheet is not predicted: {reason}")
     if as_json:
-        values = {"file": str(output), "sheets": len(made.sheets), "notes": notes}
+        values: dict[str, Any] = {"file": str(output), "sheets": len(made.sheets), "notes": notes}
+        if step is not None:
+            values["tolerances"] = [asdict(body) for body in step.tolerances]
         if assumed is not None:
             values |= {
                 "study_yield": None if predicted_yield is None else predicted_yield.study_yield,
@@ -230,7 +241,16 @@ def drawing(
     else:
         for note in notes:
             typer.echo(f"note: {visible(note)}", err=True)
-        typer.echo(f"wrote {output}: {len(made.sheets)} {'sheet' if len(made.sheets) == 1 else 'sheets'}")
+        sheets = f"{len(made.sheets)} {'sheet' if len(made.sheets) == 1 else 'sheets'}"
+        typer.echo(f"wrote {output}: {sheets if step is None else _step_sentence(step)}")
+
+
+def _step_sentence(step: StepReport) -> str:
+    count = sum(body.count for body in step.tolerances)
+    return (
+        f"{step.solids} {'solid' if step.solids == 1 else 'solids'} with {count} semantic tolerances, read "
+        f"back within {1e6 * step.largest_error_mm:.2g} nm of the true surface"
+    )
 
 
 def _write_as_drawn(
@@ -239,10 +259,11 @@ def _write_as_drawn(
     predicted_yield: DrawingYield | None,
     paths: tuple[Path, Path | None, Path | None],
     design: Path,
-) -> None:
-    """Write the drawing and, if requested, the design and the study as drawn: all files or none."""
+) -> StepReport | None:
+    """Write the drawing or its solids and, if requested, design and study as drawn: all files or none."""
     from lensdesign.files.design import design_text
     from lensdesign.manufacture.drawing.sheets import write_drawing
+    from lensdesign.manufacture.step.writing import write_step
 
     output, as_drawn, study = paths
     with ExitStack() as stack:
@@ -255,7 +276,12 @@ def _write_as_drawn(
             predicted_yield.save(
                 temporary, Path(os.path.relpath(lens_file, study.resolve().parent)).as_posix()
             )
-        write_drawing(made, output)
+        if output.suffix.lower() not in STEP_SUFFIXES:
+            write_drawing(made, output)
+            return None
+        outline = "; ".join(drawn_outline(stated.lens).statements)
+        warn = partial(typer.echo, err=True)
+        return write_step(stated.lens, output, warn, outline, stated.tolerances)
 
 
 def _yield_notes(predicted_yield: DrawingYield, accepted: bool) -> list[str]:

@@ -145,3 +145,14 @@ def _spline_curve(knots: Array, points: Array) -> Any:
     for index, count in enumerate(counts, start=1):
         multiplicities.SetValue(index, int(count))
     return Geom_BSplineCurve(_points(points), _numbers(values), multiplicities, SPLINE_DEGREE)
+
+
+def subshapes(shape: Any, kind: Any) -> list[Any]:
+    """Return all subshapes of one kind (of TopAbs_ShapeEnum)."""
+    from OCP.TopExp import TopExp_Explorer
+
+    explorer, found = TopExp_Explorer(shape, kind), []
+    while explorer.More():
+        found.append(explorer.Current())
+        explorer.Next()
+    return found

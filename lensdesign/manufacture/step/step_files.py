@@ -1,4 +1,7 @@
-"""Writing and reading of STEP files (ISO 10303-21, application protocol 214) of named solids by OCP."""
+"""Writing and reading of STEP files (ISO 10303-21) of named solids by OCP.
+
+Solids alone have the application protocol 214, solids with semantic tolerances 242.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import InputError
+from lensdesign.manufacture.step.semantic_tolerances import (
+    SemanticTolerances,
+    add_tolerances,
+    read_tolerances,
+)
+from lensdesign.manufacture.step.solids import subshapes
 
 STEP_SUFFIXES = (".step", ".stp")
 
@@ -81,7 +90,12 @@ def ocp_errors(subject: str) -> Iterator[None]:
 
 
 def write_solids(
-    solids: Sequence[Any], names: Sequence[str], title: str, path: Path, statement: str = ""
+    solids: Sequence[Any],
+    names: Sequence[str],
+    title: str,
+    path: Path,
+    statement: str = "",
+    tolerances: Sequence[SemanticTolerances] = (),
 ) -> None:
     """Write named solids in mm: a single one as a part, several as an assembly with the title as its name.
 
@@ -97,6 +111,8 @@ def write_solids(
         File to write.
     statement
         Comment for the description of the header (default: none).
+    tolerances
+        Semantic tolerances of each solid (default: none).
 
     Raises
     ------
@@ -115,8 +131,9 @@ def write_solids(
     writer = STEPCAFControl_Writer()
     # These settings are global; the calling program may have changed them.
     Interface_Static.SetCVal_s("write.step.unit", "MM")
-    Interface_Static.SetCVal_s("write.step.schema", "AP214IS")
-    document = _document(title, solids, names)
+    Interface_Static.SetCVal_s("write.step.schema", "AP242DIS" if tolerances else "AP214IS")
+    writer.SetDimTolMode(bool(tolerances))
+    document = _document(title, solids, names, tolerances)
     written = writer.Transfer(document, STEPControl_StepModelType.STEPControl_AsIs)
     _write_header(writer.ChangeWriter().Model(), title, statement)
     if not written or writer.Write(str(path)) != IFSelect_ReturnStatus.IFSelect_RetDone:
@@ -151,10 +168,13 @@ def _normalized(text: str) -> str:
     return _COMPONENT_USE.sub(lambda match: f"{match[1]}{next(index)}", text)
 
 
-def _document(title: str, solids: Sequence[Any], names: Sequence[str]) -> Any:
+def _document(
+    title: str, solids: Sequence[Any], names: Sequence[str], tolerances: Sequence[SemanticTolerances]
+) -> Any:
     from OCP.TCollection import TCollection_ExtendedString
     from OCP.TDataStd import TDataStd_Name
     from OCP.TDocStd import TDocStd_Document
+    from OCP.TopAbs import TopAbs_ShapeEnum
     from OCP.TopLoc import TopLoc_Location
     from OCP.XCAFDoc import XCAFDoc_DocumentTool
 
@@ -166,6 +186,8 @@ def _document(title: str, solids: Sequence[Any], names: Sequence[str]) -> Any:
     labels = [tool.AddShape(solid, False) for solid in solids]
     for label, name in zip(labels, names, strict=True):
         set_name(label, name)
+    for solid, label, stated in zip(solids, labels, tolerances, strict=False):
+        add_tolerances(document, label, subshapes(solid, TopAbs_ShapeEnum.TopAbs_FACE), stated)
     if len(labels) > 1:
         assembly = tool.NewShape()
         set_name(assembly, title or "lens")
@@ -173,6 +195,27 @@ def _document(title: str, solids: Sequence[Any], names: Sequence[str]) -> Any:
             set_name(tool.AddComponent(assembly, label, TopLoc_Location()), name)
         tool.UpdateAssemblies()
     return document
+
+
+def read_semantic_tolerances(path: Path) -> list[SemanticTolerances]:
+    """Return the semantic tolerances of each solid of a STEP file, in their order.
+
+    Raises
+    ------
+    InputError
+        If OCP cannot read the file, or a tolerance is not one that this package writes.
+    """
+    from OCP.IFSelect import IFSelect_ReturnStatus
+    from OCP.STEPCAFControl import STEPCAFControl_Reader
+    from OCP.TCollection import TCollection_ExtendedString
+    from OCP.TDocStd import TDocStd_Document
+
+    reader, document = STEPCAFControl_Reader(), TDocStd_Document(TCollection_ExtendedString("XmlXCAF"))
+    reader.SetGDTMode(True)
+    is_read = reader.ReadFile(str(path)) == IFSelect_ReturnStatus.IFSelect_RetDone
+    if not is_read or not reader.Transfer(document):
+        raise InputError("OCP could not read the tolerances back")
+    return read_tolerances(document)
 
 
 def read_solids(path: Path) -> list[Any]:
@@ -199,14 +242,3 @@ def read_solids(path: Path) -> list[Any]:
     reader.SetSystemLengthUnit(1.0)
     reader.TransferRoots()
     return subshapes(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_SOLID)
-
-
-def subshapes(shape: Any, kind: Any) -> list[Any]:
-    """Return all subshapes of one kind (of TopAbs_ShapeEnum)."""
-    from OCP.TopExp import TopExp_Explorer
-
-    explorer, found = TopExp_Explorer(shape, kind), []
-    while explorer.More():
-        found.append(explorer.Current())
-        explorer.Next()
-    return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,18 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element, closed_elements
+from lensdesign.manufacture.drawing.tolerances import DrawingTolerances
 from lensdesign.manufacture.meridian_curves import EXACT
 from lensdesign.manufacture.step.freeform import freeform_solid, surface_error_mm
-from lensdesign.manufacture.step.solids import element_solid, rim_corners
+from lensdesign.manufacture.step.semantic_tolerances import SemanticTolerances, semantic_tolerances
+from lensdesign.manufacture.step.solids import element_solid, rim_corners, subshapes
 from lensdesign.manufacture.step.step_files import (
     STEP_SUFFIXES,
     ocp_errors,
+    read_semantic_tolerances,
     read_solids,
     require_ocp,
     silent_ocp,
-    subshapes,
     write_solids,
 )
 
@@ -65,10 +67,13 @@ class StepReport:
         Size of the file in bytes.
     bodies
         Glass bodies, front to back.
+    tolerances
+        Semantic tolerances of each body; empty for a file without them.
     """
 
     bytes: int
     bodies: tuple[StepBody, ...]
+    tolerances: tuple[SemanticTolerances, ...] = ()
 
     @property
     def solids(self) -> int:
@@ -96,8 +101,12 @@ def write_step(
     path: str | os.PathLike[str],
     warn: Callable[[str], None] = warnings.warn,
     statement: str = "",
+    tolerances: Sequence[DrawingTolerances] = (),
 ) -> StepReport:
-    """Write the glass of a lens to a STEP file (AP214, mm) with one named solid for each element.
+    """Write the glass of a lens to a STEP file (mm) with one named solid for each element.
+
+    The file has the application protocol 214. With `tolerances` it has 242 and contains them as semantic
+    tolerances, which other programs read (:mod:`lensdesign.manufacture.step.semantic_tolerances`).
 
     Planes, spheres and conics are exact; aspheres are splines within 1e-7 mm. The file is read back and
     measured before it replaces an existing one. The same lens yields identical bytes. The bodies have the
@@ -115,11 +124,13 @@ def write_step(
         warning).
     statement
         Comment in the description of the file's header (default: none).
+    tolerances
+        Tolerances of the sheet of each element (default: none).
 
     Returns
     -------
     StepReport
-        Measured errors and volumes of the solids.
+        Measured errors and volumes of the solids, and their tolerances as read back.
 
     Raises
     ------
@@ -142,22 +153,41 @@ def write_step(
     elements = closed_elements(lens)
     require_ocp()
     names = [product_name(lens, element) for element in elements]
+    if tolerances and len(tolerances) != len(elements):
+        raise InputError(
+            f"tolerances are given for {len(tolerances)} elements, but the lens has {len(elements)}"
+        )
+    stated = tuple(map(semantic_tolerances, elements, tolerances))
     with silent_ocp(), atomic_path(path) as temporary:
         solids = [_checked_solid(element) for element in elements]
         with ocp_errors(f"cannot write {path}"):
-            write_solids(solids, names, lens.title, temporary, statement)
+            write_solids(solids, names, lens.title, temporary, statement, stated)
             bodies = _measured_bodies(elements, names, read_solids(temporary))
+            found = _checked_tolerances(names, stated, temporary) if stated else ()
         size = temporary.stat().st_size
     for index, surface in enumerate(lens.surfaces, start=1):
         if surface.figure is not None:
             warn(f"surface {index}: the nominal shape was written, without the measured figure")
-    return StepReport(size, bodies)
+    return StepReport(size, bodies, found)
 
 
 def product_name(lens: Lens, element: Element) -> str:
     """Return `element 1 (surfaces 1 and 2), N-BK7`; a glass without a name is `n = 1.5`."""
     glass = lens.surfaces[element.surfaces[0]].material
     return f"{element.name}, {glass if isinstance(glass, str) else f'n = {glass:.10g}'}"
+
+
+def _checked_tolerances(
+    names: list[str], stated: tuple[SemanticTolerances, ...], path: Path
+) -> tuple[SemanticTolerances, ...]:
+    """Return the tolerances of a file; an error names a body whose tolerances are not those stated."""
+    found = tuple(read_semantic_tolerances(path))
+    if len(found) != len(stated):
+        raise InputError(f"{len(found)} parts with tolerances read back instead of {len(stated)}")
+    for name, own, other in zip(names, stated, found, strict=True):
+        if not own.agrees(other):
+            raise InputError(f"{name}: tolerances read back differ: {other}, not {own}")
+    return found
 
 
 def _checked_solid(element: Element) -> Any:

@@ -27,7 +27,8 @@ from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import closed_elements
 from lensdesign.manufacture.step import solids as cad_solids
 from lensdesign.manufacture.step import writing as cad
-from lensdesign.manufacture.step.step_files import read_solids, silent_ocp, step_text, subshapes
+from lensdesign.manufacture.step.solids import subshapes
+from lensdesign.manufacture.step.step_files import read_solids, silent_ocp, step_text
 from lensdesign.manufacture.step.writing import StepReport, write_step
 
 Array = NDArray[np.float64]
