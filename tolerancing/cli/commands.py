@@ -101,10 +101,10 @@ def run(
         check_output_file(store)
     several = cluster is None and (workers or len(os.sched_getaffinity(0))) > 1
     if several and (fresh or not store.exists()):
-        from tolerancing.run.processes import start_ahead
+        from lensdesign.common.processes import start_ahead
 
         with messages_only():
-            start_ahead()
+            start_ahead("tolerancing.run.forkserver_preload")
     # The summary needs it, too. Its import now overlaps with the start of the workers.
     import scipy.special  # noqa: F401
 
@@ -406,7 +406,7 @@ def _yield_cells(good: Yield | None) -> tuple[str, str]:
 
 def main() -> None:
     """Run the command line."""
-    from tolerancing.run.processes import one_blas_thread
+    from lensdesign.common.processes import one_blas_thread
 
     one_blas_thread()
     run_app(app)

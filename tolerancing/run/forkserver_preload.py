@@ -1,6 +1,6 @@
 """Preload of everything that a worker process needs: importing this module imports it all.
 
-Only the fork server of a command imports this module (:func:`tolerancing.run.processes.start_ahead`). The
+Only the fork server of a command imports this module (:func:`lensdesign.common.processes.start_ahead`). The
 workers are copies of that server, so they start without imports and with the compiled ray trace loaded.
 """
 

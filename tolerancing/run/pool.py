@@ -18,6 +18,7 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from lensdesign.common.processes import Processes, follow_parent
 from lensdesign.errors import InputError
 from tolerancing.run.executors import (
     TASKS_IN_FLIGHT,
@@ -29,7 +30,6 @@ from tolerancing.run.executors import (
     result,
     submitted,
 )
-from tolerancing.run.processes import Processes, follow_parent
 from tolerancing.run.tasks import Task
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from lensdesign.common.clusters import check_same_version, worker_name
+from lensdesign.common.processes import follow_parent
 from lensdesign.errors import InputError
-from tolerancing.run.processes import follow_parent
 from tolerancing.run.tasks import Task, perform
 
 if TYPE_CHECKING:

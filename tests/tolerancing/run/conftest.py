@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tolerancing.run import processes
+from lensdesign.common import processes
 
 
 @pytest.fixture(scope="session")
@@ -14,7 +14,7 @@ def worker_server() -> None:
     """Start the server once; workers of other tests stay new processes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(processes, "_server_started", False)
-        processes.start_ahead()
+        processes.start_ahead("tolerancing.run.forkserver_preload")
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from stored_rows import rows
 
 import tolerancing.run.run as module
 from lensdesign import InputError
+from lensdesign.common.processes import Processes
 from tolerancing.run.pool import LocalPool
-from tolerancing.run.processes import Processes
 from tolerancing.run.run import run_study
 from tolerancing.run.tasks import Task
 from tolerancing.store.store import open_store

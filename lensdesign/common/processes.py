@@ -1,4 +1,4 @@
-"""Process pools for a run: new processes, or copies of a server that was started in advance.
+"""Process pools: new processes, or copies of a server that was started in advance.
 
 This module imports nothing heavy, so that the server starts before everything else.
 """
@@ -27,7 +27,7 @@ _server_started = False
 def one_blas_thread() -> None:
     """Limit linear algebra to one thread in processes that load NumPy from now on.
 
-    The matrix products of a study are small and many, so threads wait for each other longer than they
+    The matrix products of a run are small and many, so threads wait for each other longer than they
     compute. One thread also keeps the last bits of a sum independent of the number of processors.
     Environment variables that are already set stay unchanged.
     """
@@ -35,12 +35,17 @@ def one_blas_thread() -> None:
         os.environ.setdefault(name, "1")
 
 
-def start_ahead() -> None:
+def start_ahead(preload: str) -> None:
     """Start a fork server in the background. Worker processes of this process are its copies from now on.
 
     The server imports once what all workers need, so a copy is ready at once. Only commands use it: a process
-    has a single fork server, whose imports are fixed when it starts. Programs that call
-    :func:`tolerancing.run.run.run_study` keep theirs for their own purposes.
+    has a single fork server, whose imports are fixed when it starts. Programs that call functions of this
+    toolkit keep theirs for their own purposes.
+
+    Parameters
+    ----------
+    preload
+        Name of the module that imports what the workers need.
     """
     from multiprocessing import forkserver, resource_tracker
 
@@ -48,7 +53,7 @@ def start_ahead() -> None:
     if sys.platform != "linux":  # On other systems it is not safe to fork a process with these libraries.
         return
     one_blas_thread()
-    forkserver.set_forkserver_preload(["tolerancing.run.forkserver_preload"])
+    forkserver.set_forkserver_preload([preload])
     with _signals_blocked():
         resource_tracker.ensure_running()  # First: it unblocks the signals again.
     with _signals_blocked():
@@ -122,8 +127,8 @@ class Processes:
 def follow_parent() -> None:
     """Ignore interrupts in this worker process, and end it when its parent process ends.
 
-    The terminal sends interrupts to the whole process group. Only the process with the open store may act
-    on them.
+    The terminal sends interrupts to the whole process group. Only the process with the open store or
+    index may act on them.
     """
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):

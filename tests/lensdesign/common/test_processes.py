@@ -7,14 +7,14 @@ import sys
 
 import pytest
 
-from tolerancing.run.processes import Processes, follow_parent
+from lensdesign.common.processes import Processes, follow_parent
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="processes are started anew elsewhere")
 
 COPIES = """
 import json, os, signal, sys
-from tolerancing.run.processes import Processes, follow_parent, start_ahead
-start_ahead()
+from lensdesign.common.processes import Processes, follow_parent, start_ahead
+start_ahead("tolerancing.run.forkserver_preload")
 light = not {"numpy", "pydantic"} & set(sys.modules)
 with Processes(2, follow_parent) as two:
     parents = {two.submit(os.getppid).result() for _ in range(4)}
@@ -53,8 +53,8 @@ def test_the_server_ends_with_a_command_that_is_killed_while_it_imports():
     psutil = pytest.importorskip("psutil")
     code = """
 import os, sys, time
-from tolerancing.run.processes import start_ahead
-start_ahead()
+from lensdesign.common.processes import start_ahead
+start_ahead("tolerancing.run.forkserver_preload")
 print(flush=True)
 time.sleep(60.0)
 """
