@@ -19,6 +19,7 @@ SCRIPTS = (
     "monte_carlo_speed",
     "optimizer",
     "limits",
+    "stock_search",
     "pupil_trial",
     "eikonal_speed",
     "terms_transform",

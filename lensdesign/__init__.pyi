@@ -25,6 +25,8 @@ from .plots.page import write_view
 from .plots.plots import draw_all
 from .raytrace.bundles import launch, pupil_hexapolar
 from .raytrace.rays import RayTrace, trace
+from .stock.index import StockIndex, index_stock
+from .stock.search import StockResult, StockSettings, find_stock_lenses
 
 __all__ = [
     "CheckReport",
@@ -40,13 +42,18 @@ __all__ = [
     "RayTrace",
     "Sensor",
     "Specification",
+    "StockIndex",
+    "StockResult",
+    "StockSettings",
     "Surface",
     "SurfaceFigureSource",
     "SurfacePerturbation",
     "TransferLensError",
     "check_design",
     "draw_all",
+    "find_stock_lenses",
     "get_material",
+    "index_stock",
     "launch",
     "lens_drawing",
     "load_design",

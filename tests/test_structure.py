@@ -21,6 +21,7 @@ ORDER = {
         "raytrace",
         "analysis",
         "optimization",
+        "stock",
         "manufacture",
         "plots",
         "exploration",

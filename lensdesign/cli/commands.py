@@ -14,6 +14,7 @@ from lensdesign.cli import figure as cli_figure
 from lensdesign.cli import ghost as cli_ghost
 from lensdesign.cli import manufacture as cli_manufacture
 from lensdesign.cli import search as cli_search
+from lensdesign.cli import stock as cli_stock
 from lensdesign.cli import testplates as cli_testplates
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
@@ -33,6 +34,7 @@ app = make_app(
     {
         "Design": {
             "optimize": "Find a lens that meets a specification.",
+            "stock": "Find lenses of catalogues that meet a specification.",
             "testplates": "Find one whose spheres have radii of test plates.",
             "explore": "Find a Pareto front of lenses.",
             "limits": "Find the largest field, aperture or tolerances.",
@@ -142,6 +144,7 @@ app.command()(cli_compare.compare)
 app.command()(cli_search.optimize)
 app.command()(cli_search.explore)
 app.command()(cli_search.limits)
+app.command()(cli_stock.stock)
 app.command("import")(cli_manufacture.import_file)
 app.command()(cli_figure.figure)
 app.command()(cli_manufacture.export)

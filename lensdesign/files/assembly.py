@@ -94,6 +94,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         "plane_distances_mm": planes,
     }
     requested = supplement.numerical_aperture is not None
+    stated = tuple(_first_given(row.semi_diameter_mm, row.automatic_mm) for row in rows[1:-1])
     rows, filled = _with_stop(rows, draft, values, catalogs, requested)
     surfaces = _surfaces(rows)
     missing = [name for name, value in values.items() if value is None]
@@ -104,7 +105,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     _remark_automatic(rows, draft)
     lens = _lens(draft, values, surfaces, catalogs)
     first_order = check_first_order(draft, lens, pose, supplement, filled)
-    return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks), first_order)
+    return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks), first_order, stated)
 
 
 def _first_given(*values: Any) -> Any:

@@ -66,6 +66,9 @@ class Imported:
         the sources of glasses and of the stop's semi-diameter.
     first_order
         First-order data of the traced lens. They agree with those of the file's records.
+    semi_diameters_mm
+        Semi-diameter that the file states for each surface of the lens, including automatic ones, which the
+        other program computed from rays; None where it states none.
     """
 
     lens: Lens
@@ -73,6 +76,7 @@ class Imported:
     dropped: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     first_order: ImportedFirstOrder | None = None
+    semi_diameters_mm: tuple[float | None, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,11 @@ def check_against(
     )
 
 
+def body_constraints(lens: Lens, specification: Specification) -> tuple[Constraint, ...]:
+    """Return the constraints on thicknesses, air gaps and slopes, which need no rays."""
+    return (*_thicknesses(lens, specification), *_slopes(lens, specification))
+
+
 def _light(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
     """Return the constraints on spread, footprint and throughput."""
     spread, footprints = _spread(lens, specification, report), _footprints(lens, specification, report)

@@ -1,0 +1,313 @@
+"""Index of a folder of vendors' lens files, which are read only when they have changed.
+
+The index is a text file with one JSON object a line. The first line identifies it and what affects the
+reading: the version of the toolkit and the glass catalogues. Each further line holds one file: its size and
+time of change, and its lens or the reason why it has none. Lines are appended while files are read, so an
+interrupted run loses only the files that its workers were reading.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.common.clusters import toolkit_version
+from lensdesign.common.input_files import TABLE_BYTES, read_input
+from lensdesign.common.processes import Processes, follow_parent
+from lensdesign.errors import InputError, TransferLensError
+from lensdesign.files.draft import LossyImportError
+from lensdesign.stock.vendor_files import find_vendor_files, read_stock_lens, surface_tables
+
+INDEX_NAME = ".transferlens-stock.jsonl"
+"""Name of the index in the folder of the files."""
+
+_FORMAT = "transferlens stock index 1"
+
+_BATCH = 40
+"""Files that a worker reads before its results are appended to the index; they take a second or less."""
+
+Progress = Callable[[int, int, str], None]
+"""Progress callback: ``progress(completed, total, description)``."""
+
+
+@dataclass(frozen=True)
+class IndexedFile:
+    """A vendor's file in the index.
+
+    Attributes
+    ----------
+    name
+        Path relative to the folder, with forward slashes.
+    size_bytes, modified_ns
+        Size, and time of the last change in nanoseconds, when it was read.
+    reason
+        Why the file contains no usable lens; empty if it does.
+    title
+        Title of the lens.
+    surfaces
+        Tables of its surfaces as in a design file.
+    """
+
+    name: str
+    size_bytes: int
+    modified_ns: int
+    reason: str = ""
+    title: str = ""
+    surfaces: tuple[dict[str, Any], ...] = ()
+
+
+@dataclass(frozen=True)
+class StockIndex:
+    """Contents of a folder of vendors' lens files.
+
+    Attributes
+    ----------
+    folder
+        The folder.
+    path
+        The file that stores the index.
+    glass_catalogs
+        Glass catalogues with which the files were read.
+    files
+        All files, ordered by name.
+    read_count
+        Number of files that were read now; the others had not changed.
+    """
+
+    folder: Path
+    path: Path
+    glass_catalogs: tuple[Path, ...]
+    files: tuple[IndexedFile, ...]
+    read_count: int
+
+    @property
+    def lenses(self) -> tuple[IndexedFile, ...]:
+        """Files with a lens."""
+        return tuple(file for file in self.files if not file.reason)
+
+    @property
+    def refused(self) -> tuple[IndexedFile, ...]:
+        """Files without a usable lens."""
+        return tuple(file for file in self.files if file.reason)
+
+
+def index_stock(
+    folder: str | os.PathLike[str],
+    index: str | os.PathLike[str] | None = None,
+    glass_catalogs: Sequence[str | os.PathLike[str]] = (),
+    workers: int | None = 1,
+    progress: Progress = lambda *_: None,
+) -> StockIndex:
+    """Read all lens files below a folder that are new or have changed, and return the index of all.
+
+    A file that is damaged, or that is not understood, is listed with the reason and never ends the run.
+
+    Parameters
+    ----------
+    folder
+        Folder with lens files of vendors (``.zmx``, ``.seq``), searched with all folders below it.
+    index
+        File that stores the index (default: a hidden file in the folder).
+    glass_catalogs
+        Glass catalogues (AGF) that are searched first. With other catalogues, all files are read again.
+    workers
+        Number of processes; None means one for each processor. Processes import the main module when they
+        start, so a script with several needs ``if __name__ == "__main__":``.
+    progress
+        Progress callback: ``progress(completed, total, description)``.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist or contains no lens file, or the index cannot be read or written.
+    KeyboardInterrupt
+        After an interrupt; its message says how many files the index holds. The next call continues.
+
+    Examples
+    --------
+    >>> from lensdesign import index_stock, load_design, write_zmx
+    >>> write_zmx(load_design("designs/feasible_singlet.toml"), "vendor/singlet.zmx")
+    >>> found = index_stock("vendor")
+    >>> len(found.lenses), len(found.refused), found.read_count
+    (1, 0, 1)
+    >>> index_stock("vendor").read_count
+    0
+    """
+    folder = Path(folder)
+    path = folder / INDEX_NAME if index is None else Path(index)
+    catalogs = tuple(Path(catalog).resolve() for catalog in glass_catalogs)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder with the lens files of vendors")
+    found, faults = find_vendor_files(folder)
+    if not found:
+        raise InputError(f"{folder}: contains no .zmx or .seq file, nor do the folders below it")
+    header = {"index": _FORMAT, "version": toolkit_version(), "catalogs": [*map(_fingerprint, catalogs)]}
+    known = _known_files(path, header)
+    now = dict(_stamps(folder, found))
+    kept = {n: known[n] for n, stamp in now.items() if n in known and _stamp(known[n]) == stamp}
+    missing = [name for name in now if name not in kept]
+    if missing or len(kept) != len(known):
+        _write_index(path, header, kept)
+    read = dict(kept)
+    try:
+        for batch in _read_all(folder, missing, now, catalogs, workers):
+            _append(path, batch)
+            read |= {one.name: one for one in batch}
+            progress(len(read) - len(kept), len(missing), "reading lens files")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted; {path} holds {len(read)} of {len(now)} files; repeat the command to continue"
+        ) from None
+    files = [*read.values(), *(IndexedFile(name, 0, 0, reason) for name, reason in faults)]
+    return StockIndex(folder, path, catalogs, tuple(sorted(files, key=lambda f: f.name)), len(missing))
+
+
+def _fingerprint(catalog: Path) -> list[Any]:
+    """Return what identifies the contents of a catalogue."""
+    try:
+        status = catalog.stat()
+    except OSError as error:
+        raise InputError(f"cannot read glass catalogue {catalog}: {error.strerror or error}") from error
+    return [str(catalog), status.st_size, status.st_mtime_ns]
+
+
+def _stamps(folder: Path, found: Sequence[Path]) -> Iterator[tuple[str, tuple[int, int]]]:
+    """Yield the name, and size and time of change, of each file."""
+    for path in found:
+        try:
+            status = path.stat()
+            stamp = status.st_size, status.st_mtime_ns
+        except OSError:  # a link that leads nowhere, or a file that was removed; reading it states the reason
+            stamp = -1, -1
+        yield path.relative_to(folder).as_posix(), stamp
+
+
+def _stamp(file: IndexedFile) -> tuple[int, int]:
+    return file.size_bytes, file.modified_ns
+
+
+def _known_files(path: Path, header: dict[str, Any]) -> dict[str, IndexedFile]:
+    """Return the files in the index by name; none if there is no index, or one with another header."""
+    if not path.exists():
+        return {}
+    first, *lines = read_input(path, TABLE_BYTES).decode("utf-8", "replace").splitlines() or [""]
+    own = _json_object(first)
+    if own.get("index", "").rpartition(" ")[0] != _FORMAT.rpartition(" ")[0]:
+        raise InputError(f"{path}: is no index of stock lenses; give another file as --index")
+    if own != header:
+        return {}
+    files = [_indexed_file(line) for line in lines]
+    return {file.name: file for file in files if file is not None}
+
+
+def _json_object(line: str) -> dict[str, Any]:
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return row if isinstance(row, dict) else {}
+
+
+def _indexed_file(line: str) -> IndexedFile | None:
+    """Return the file of a line; None if the line is incomplete, so that the file is read again."""
+    row = _json_object(line)
+    try:
+        file = IndexedFile(**row | {"surfaces": tuple(row["surfaces"])})
+    except (KeyError, TypeError):
+        return None
+    texts = all(isinstance(text, str) for text in (file.name, file.reason, file.title))
+    return file if texts and all(isinstance(one, dict) for one in file.surfaces) else None
+
+
+def _line(content: object) -> str:
+    return json.dumps(content, ensure_ascii=True) + "\n"
+
+
+def _write_index(path: Path, header: dict[str, Any], files: dict[str, IndexedFile]) -> None:
+    """Replace the index by one with the unchanged files alone."""
+    try:
+        with atomic_path(path) as temporary:
+            lines = [header, *map(asdict, files.values())]
+            temporary.write_text("".join(map(_line, lines)), encoding="utf-8")
+    except InputError as error:
+        raise InputError(f"{error}; give a file in another folder as --index") from error
+
+
+def _append(path: Path, files: Sequence[IndexedFile]) -> None:
+    try:
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write("".join(_line(asdict(one)) for one in files))
+            stream.flush()
+            os.fsync(stream.fileno())
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _read_all(
+    folder: Path,
+    names: Sequence[str],
+    stamps: dict[str, tuple[int, int]],
+    catalogs: tuple[Path, ...],
+    workers: int | None,
+) -> Iterator[list[IndexedFile]]:
+    """Yield the files in batches, in the order in which they are read."""
+    batches = [
+        [(name, *stamps[name]) for name in names[i : i + _BATCH]] for i in range(0, len(names), _BATCH)
+    ]
+    processes = min(len(os.sched_getaffinity(0)) if workers is None else workers, len(batches))
+    if processes <= 1:
+        for batch in batches:
+            yield _read_batch(folder, batch, catalogs)
+        return
+    with Processes(processes, follow_parent) as pool:
+        in_flight: dict[Future[list[IndexedFile]], list[tuple[str, int, int]]] = {}
+        waiting = iter(batches)
+        try:
+            while True:
+                for batch in waiting:
+                    in_flight[pool.submit(_read_batch, folder, batch, catalogs)] = batch
+                    if len(in_flight) >= 2 * processes:
+                        break
+                if not in_flight:
+                    return
+                for done in wait(in_flight, return_when=FIRST_COMPLETED).done:
+                    del in_flight[done]
+                    yield done.result()
+        except BrokenProcessPool as error:
+            raise TransferLensError(
+                f"{pool.end()} ended a process that read lens files; repeat the command to continue, with "
+                "--workers 1 if it happens again"
+            ) from error
+
+
+def _read_batch(
+    folder: Path, batch: Sequence[tuple[str, int, int]], catalogs: tuple[Path, ...]
+) -> list[IndexedFile]:
+    return [_read_file(folder, *one, catalogs) for one in batch]
+
+
+def _read_file(
+    folder: Path, name: str, size_bytes: int, modified_ns: int, catalogs: tuple[Path, ...]
+) -> IndexedFile:
+    """Return a file with its lens, or with the reason why it has none."""
+    path = folder / name
+    try:
+        title, surfaces = read_stock_lens(path, catalogs)
+    except LossyImportError as error:
+        reason = f"a design cannot represent: {'; '.join(error.dropped)}"
+        return IndexedFile(name, size_bytes, modified_ns, reason)
+    except (TransferLensError, OSError) as error:
+        reason = str(error).replace(f"cannot read {path}: ", "cannot be read: ")
+        reason = reason.replace(f"{path}: ", "").replace(f"{path}, ", "")
+        return IndexedFile(name, size_bytes, modified_ns, " ".join(reason.split()))
+    except Exception as error:  # one file among thousands must not end the run, whatever is wrong with it
+        reason = f"the reader failed: {type(error).__name__}: {error}"
+        return IndexedFile(name, size_bytes, modified_ns, " ".join(reason.split()))
+    return IndexedFile(name, size_bytes, modified_ns, "", title, tuple(surface_tables(surfaces)))

@@ -1,0 +1,143 @@
+"""The index of a folder: every file once, faults with their reasons, continued after an interrupt."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from vendor_folder import LA1509, write_vendors, zmx_text
+
+from lensdesign import InputError, index_stock
+from lensdesign.stock import index as module
+from lensdesign.stock.index import INDEX_NAME
+
+
+@pytest.fixture
+def vendors(tmp_path: Path) -> Path:
+    folder = tmp_path / "vendors"
+    write_vendors(folder)
+    return folder
+
+
+def test_every_file_has_a_lens_or_a_reason(vendors: Path) -> None:
+    index = index_stock(vendors)
+    assert index.read_count == len(index.files) == 9
+    assert [file.name for file in index.lenses] == [
+        "biconvex.seq",
+        "plano/LA1131-A.ZMX",
+        "plano/LA1131.zmx",
+        "plano/LA1509.zmx",
+    ]
+    assert {file.name for file in index.refused} == {
+        f"bad/{name}.zmx" for name in ("cut", "noise", "mirror", "two", "glass")
+    }
+    assert all(file.reason and "\n" not in file.reason for file in index.refused)
+
+
+def test_files_without_changes_are_not_read_again(vendors: Path) -> None:
+    first = index_stock(vendors)
+    again = index_stock(vendors)
+    assert again.read_count == 0
+    assert again.files == first.files
+
+
+def test_changed_new_and_removed_files_are_noticed(vendors: Path) -> None:
+    index_stock(vendors)
+    path = vendors / "plano" / "LA1509.zmx"
+    path.write_bytes(zmx_text("LA1509", [(60.0, 3.6, "N-BK7"), LA1509[1]], 11.43).encode())
+    (vendors / "new.zmx").write_text(zmx_text("NEW", LA1509, 5.0))
+    (vendors / "biconvex.seq").unlink()
+    index = index_stock(vendors)
+    assert index.read_count == 2
+    lenses = {file.name: file for file in index.lenses}
+    assert lenses["plano/LA1509.zmx"].surfaces[0]["radius_mm"] == pytest.approx(60.0)
+    assert "new.zmx" in lenses
+    assert "biconvex.seq" not in lenses
+
+
+def test_a_touched_file_is_read_again(vendors: Path) -> None:
+    index_stock(vendors)
+    os.utime(vendors / "biconvex.seq", ns=(1, 1))
+    assert index_stock(vendors).read_count == 1
+
+
+def test_an_interrupted_run_continues(vendors: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = module.read_stock_lens
+    done: list[Path] = []
+
+    def interrupted(path: Path, catalogs: object) -> object:
+        if len(done) == 4:
+            raise KeyboardInterrupt
+        done.append(path)
+        return read(path, ())
+
+    monkeypatch.setattr(module, "_BATCH", 1)
+    monkeypatch.setattr(module, "read_stock_lens", interrupted)
+    with pytest.raises(KeyboardInterrupt, match="4 of 9"):
+        index_stock(vendors)
+    monkeypatch.setattr(module, "read_stock_lens", read)
+    index = index_stock(vendors)
+    assert index.read_count == 5
+    assert len(index.lenses) == 4
+
+
+def test_a_cut_line_is_read_again(vendors: Path) -> None:
+    path = index_stock(vendors).path
+    text = path.read_text()
+    path.write_text(text[:-30])
+    index = index_stock(vendors)
+    assert index.read_count == 1
+    assert len(index.files) == 9
+
+
+def test_the_index_can_lie_elsewhere(vendors: Path, tmp_path: Path) -> None:
+    index = index_stock(vendors, tmp_path / "own.jsonl")
+    assert index.path.is_file()
+    assert not (vendors / INDEX_NAME).exists()
+    assert index_stock(vendors, tmp_path / "own.jsonl").read_count == 0
+
+
+def test_another_version_or_catalogue_reads_all_again(vendors: Path, tmp_path: Path) -> None:
+    path = index_stock(vendors).path
+    first, *others = path.read_text().splitlines()
+    path.write_text("\n".join([json.dumps(json.loads(first) | {"version": "0"}), *others, ""]))
+    assert index_stock(vendors).read_count == 9
+    catalog = tmp_path / "own.agf"
+    catalog.write_text("CC own\nNM UNOBTAINIUM 2 0 1.5 60 0\nCD 1.25 0 0 0.01 0 100\nLD 0.3 2.5\n")
+    index = index_stock(vendors, glass_catalogs=[catalog])
+    assert index.read_count == 9
+    assert "bad/glass.zmx" in {file.name for file in index.lenses}
+
+
+def test_processes_find_the_same(vendors: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = index_stock(vendors)
+    alone.path.unlink()
+    monkeypatch.setattr(module, "_BATCH", 5)
+    assert index_stock(vendors, workers=2).files == alone.files
+
+
+def test_one_failure_of_the_reader_does_not_end_the_run(
+    vendors: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(path: Path, catalogs: object) -> object:
+        raise RuntimeError("unforeseen")
+
+    monkeypatch.setattr(module, "read_stock_lens", failing)
+    index = index_stock(vendors)
+    assert len(index.refused) == 9
+    assert "unforeseen" in index.refused[0].reason
+
+
+def test_bad_folders_and_indices_are_refused(vendors: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="missing"):
+        index_stock(tmp_path / "missing")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty"):
+        index_stock(tmp_path / "empty")
+    other = tmp_path / "other.txt"
+    other.write_text("precious\n")
+    with pytest.raises(InputError, match="--index"):
+        index_stock(vendors, other)
+    assert other.read_text() == "precious\n"
