@@ -44,6 +44,9 @@ def reversed_surfaces(surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
 def mirrored_keys(surface: Surface) -> dict[str, object]:
     """Return the keys of a surface's shape with the opposite sag: all of its lengths times -1."""
     keys = surface.shape_class.scaled_keys(surface.shape_keys, -1.0)
+    # The radial height stays, so odd powers of it change their sign, too, and its unit does not.
+    if "odd_asphere" in keys:
+        keys["odd_asphere"] = tuple(-coefficient for coefficient in surface.odd_asphere)
     if "normalization_radius_mm" in keys:
         keys["normalization_radius_mm"] = surface.normalization_radius_mm
     return keys

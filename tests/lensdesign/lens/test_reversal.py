@@ -56,6 +56,8 @@ def test_focal_length_stays_and_focal_distances_change_places(
         {"radius_mm": 20.0, "conic": -0.5},
         {"radius_mm": 20.0, "asphere": (1e-4, -2e-6)},
         {"radius_mm": 20.0, "radius_x_mm": 30.0, "shape": "biconic"},
+        {"radius_mm": 20.0, "radius_x_mm": 30.0, "asphere": (1e-4,), "shape": "toroid"},
+        {"radius_mm": 20.0, "odd_asphere": (1e-3, 1e-4, 1e-5), "shape": "odd asphere"},
         {"radius_mm": 20.0, "normalization_radius_mm": 5.0, "q_mm": (0.1, 0.02), "shape": "Qcon"},
         {"radius_mm": 20.0, "normalization_radius_mm": 5.0, "q_mm": (0.1, 0.02), "shape": "Qbfs"},
     ],
