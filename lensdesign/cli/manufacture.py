@@ -180,8 +180,11 @@ def drawing(
     from lensdesign.common.toml_files import read_toml, validate
     from lensdesign.files.design import load_design
     from lensdesign.manufacture.drawing.assumed import load_tolerances
-    from lensdesign.manufacture.drawing.sheets import DrawingOptions, drawing_as_stated
+    from lensdesign.manufacture.drawing.sheets import DRAWING_SUFFIXES, DrawingOptions, drawing_as_stated
 
+    if output.suffix.lower() not in (*DRAWING_SUFFIXES, *STEP_SUFFIXES):
+        *first, last = (*DRAWING_SUFFIXES, *STEP_SUFFIXES)
+        raise InputError(f"cannot write {output}: the name must end in {', '.join(first)} or {last}")
     in_use = {"the design itself": design, "the drawing": output, "the study": tolerances, "the sheet": sheet}
     for written in (as_drawn, study_as_drawn):
         for role, path in in_use.items():

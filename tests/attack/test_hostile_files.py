@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
+import ezdxf
 import numpy as np
 import pytest
 import tomli_w
@@ -418,6 +419,8 @@ def test_markup_in_drawings(tmp_path: Path, paper_lens: Lens) -> None:
     assert not [e for e in root.iter() if e.tag.endswith(("script", "b"))]
     write_drawing(lens_drawing(paper_lens.replaced(title=HOSTILE)), tmp_path / "sheet.pdf")
     assert (tmp_path / "sheet.pdf").read_bytes().startswith(b"%PDF")
+    write_drawing(lens_drawing(paper_lens.replaced(title=HOSTILE + "\n  0\nEOF\n")), tmp_path / "sheet.dxf")
+    assert not ezdxf.readfile(tmp_path / "sheet.dxf").audit().errors
 
 
 def test_what_reaches_the_terminal(

@@ -39,6 +39,8 @@ from lensdesign.manufacture.drawing.tolerances import (
 FRAME = Area(20.0, 10.0, SHEET_MM[0] - 10.0, SHEET_MM[1] - 10.0)
 TITLE_TOP, TABLE_TOP = 34.0, 84.0
 
+DRAWING_SUFFIXES = (".pdf", ".svg", ".dxf")
+
 Label = Annotated[str, Field(max_length=1000)]
 
 
@@ -147,11 +149,12 @@ def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
     from lensdesign.manufacture.drawing.writers import write_dxf, write_pdf, write_svg
 
     suffix = Path(path).suffix.lower()
-    writers = {".pdf": write_pdf, ".svg": write_svg, ".dxf": write_dxf}
-    if suffix not in writers:
+    if suffix not in DRAWING_SUFFIXES:
         raise InputError(f"cannot write {path}: the name must end in .pdf, .svg or .dxf")
     with atomic_path(path) as temporary:
-        writers[suffix](drawing, temporary)
+        dict(zip(DRAWING_SUFFIXES, (write_pdf, write_svg, write_dxf), strict=True))[suffix](
+            drawing, temporary
+        )
 
 
 def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -> Sheet:

@@ -214,3 +214,6 @@ def test_the_drawing_command_writes_the_tolerances_of_the_sheet(tmp_path: Path) 
         ("diameter", 0.02),
     ]
     assert body["geometric"][0]["zone_mm"] == pytest.approx(200e-6)
+    done = CliRunner().invoke(app, [*arguments[:-1], str(tmp_path / "sheet.dwg")])
+    assert isinstance(done.exception, InputError)
+    assert ".pdf, .svg, .dxf, .step or .stp" in str(done.exception)
