@@ -1,8 +1,8 @@
 """How far the ray trace is from what this processor can do: its divider, its other arithmetic, its memory.
 
 A conic takes two square roots, two quotients and 54 additions and products. An even asphere takes the
-intersection with a conic, three steps of Newton's method with six coefficients (shorter sums are padded), and a
-refraction. What bounds a ray's arithmetic is the longer of the divider's time and that of all else, each
+intersection with a conic, three steps of Newton's method with six coefficients (shorter sums are padded), and
+a refraction. What bounds a ray's arithmetic is the longer of the divider's time and that of all else, each
 measured here on numbers in the first cache. A ray brings 48 bytes and leaves 59: bounded by a copy of as many
 bytes. All in one thread.
 """
