@@ -18,7 +18,7 @@ from typing import Any
 from numba import njit
 
 from lensdesign.lens.shapes.base import FormulaShape
-from lensdesign.lens.shapes.registry import TERM_COUNTS, formula_classes
+from lensdesign.lens.shapes.registry import FORMULAS, formula_classes
 from lensdesign.raytrace.conic_kernel import BLOCK, OPL, L, M, N, X, Y, Z, intersect_conic
 
 _jit = njit(nogil=True, error_model="numpy")
@@ -120,12 +120,10 @@ def _passages() -> Iterator[tuple[int, float, Any]]:
 
     Arrays of terms are padded, so that a shape with a few terms has no largest length.
     """
-    for code, shape in enumerate(formula_classes()):
-        if code and len(shape.TERMS) <= TERM_COUNTS[0]:
-            yield code, math.inf, _through(shape, len(shape.TERMS))
-        elif code:
-            for count in TERM_COUNTS:
-                yield code, float(count), _through(shape, count)
+    for code, (shape, counts) in enumerate(zip(formula_classes(), FORMULAS.values(), strict=True)):
+        for count in counts:
+            has_all_terms = count >= len(shape.TERMS)
+            yield code, math.inf if has_all_terms else float(count), _through(shape, count)
 
 
 PASSAGES = tuple(_passages())

@@ -292,7 +292,7 @@ def test_stated_nd_of_the_database_agree_with_its_formulas() -> None:
         stated = [line.split(":")[1] for line in text.splitlines() if line.strip().startswith("nd:")]
         if not stated:
             continue
-        dispersion, (shortest, longest), _ = read_page(page)
+        dispersion, (shortest, longest), *_ = read_page(page)
         if shortest <= LINE_D_UM <= longest:
             assert dispersion(LINE_D_UM) == pytest.approx(float(yaml.safe_load(stated[0])), abs=ND_NOTED), (
                 page
