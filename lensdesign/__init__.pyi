@@ -3,6 +3,7 @@ from .analysis.report import CheckReport
 from .errors import DesignError, InputError, MaterialError, TransferLensError
 from .files.codev import read_seq, write_seq
 from .files.design import load_design, save_design
+from .files.oslo import read_len
 from .files.zemax import read_zmx, write_zmx
 from .lens.edges import Edge, Flange
 from .lens.glass import get_material
@@ -60,6 +61,7 @@ __all__ = [
     "load_specification",
     "optimize",
     "pupil_hexapolar",
+    "read_len",
     "read_mesh",
     "read_seq",
     "read_zmx",

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from lensdesign.manufacture.drawing.primitives import Drawing
     from lensdesign.manufacture.step.writing import StepReport
 
-LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
+LENS_FILES = ", ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
 
 
 def export(

@@ -1,4 +1,4 @@
-"""Lens files: design files (TOML), measured sag-error maps, and files of Zemax OpticStudio and CODE V."""
+"""Lens files: design files (TOML), measured sag-error maps, and files of OpticStudio, CODE V and OSLO."""
 
 import lazy_loader
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 from lensdesign.errors import InputError
 from lensdesign.files.draft import parse_number, quoted
+from lensdesign.files.index_tables import tabulated_index
 
 Formula = Callable[[Sequence[float], float], float]
 
@@ -131,36 +132,11 @@ class PrivateGlass:
         return index, f"index {index:.7g} at {wavelength_um:g} µm by the {name} formula of {self.name}", ""
 
     def _by_table(self, wavelength_nm: float) -> tuple[float, str, str]:
-        wavelengths_um = [parse_number(v, self.location) for v in self.wavelengths]
+        wavelengths_nm = [parse_number(v, self.location) for v in self.wavelengths]
         indices = [parse_number(v, self.location) for v in self.words]
-        if len(wavelengths_um) != len(indices) or not wavelengths_um:
+        if len(wavelengths_nm) != len(indices) or not wavelengths_nm:
             raise InputError(
                 f"{self.location}: private glass {quoted(self.name)} has {len(indices)} indices, and there "
-                f"are {len(wavelengths_um)} wavelengths (PWL)"
+                f"are {len(wavelengths_nm)} wavelengths (PWL)"
             )
-        pairs = sorted(
-            zip(wavelengths_um, indices, strict=True), key=lambda pair: abs(pair[0] - wavelength_nm)
-        )
-        nearest_nm, nearest = pairs[0]
-        same_line_nm = 0.1  # files give the same spectral line with different numbers of digits
-        if abs(nearest_nm - wavelength_nm) <= same_line_nm or len(set(indices)) == 1 < len(indices):
-            return nearest, "", ""
-        if not min(wavelengths_um) < wavelength_nm < max(wavelengths_um):
-            return (
-                nearest,
-                "",
-                f"index of the private glass {self.name} at {wavelength_nm:g} nm; that at {nearest_nm:g} nm "
-                "is used",
-            )
-        index = _interpolated(pairs[:4], wavelength_nm)
-        return index, f"index {index:.7g} of {self.name} at {wavelength_nm:g} nm interpolated", ""
-
-
-def _interpolated(pairs: Sequence[tuple[float, float]], wavelength_nm: float) -> float:
-    """Interpolate the index by Lagrange's polynomial in 1 / w^2 (compare Cauchy's formula)."""
-    x = [1.0 / w**2 for w, _ in pairs]
-    at = 1.0 / wavelength_nm**2
-    return sum(
-        n * math.prod((at - x[j]) / (x[i] - x[j]) for j in range(len(x)) if j != i)
-        for i, (_, n) in enumerate(pairs)
-    )
+        return tabulated_index(f"the private glass {self.name}", wavelengths_nm, indices, wavelength_nm)

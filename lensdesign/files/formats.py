@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,18 +25,23 @@ class LensFormat:
     program
         Name of the program.
     reader, writer
-        Names of the functions of :mod:`lensdesign.files` that read and write the format.
+        Names of the functions of :mod:`lensdesign.files` that read and write the format; the writer is None
+        if the format is only read.
     """
 
     program: str
     reader: str
-    writer: str
+    writer: str | None = None
 
 
 LENS_FORMATS = {
     ".zmx": LensFormat("Zemax", "read_zmx", "write_zmx"),
     ".seq": LensFormat("CODE V", "read_seq", "write_seq"),
+    ".len": LensFormat("OSLO", "read_len"),
 }
+
+WRITTEN_LENS_FORMATS = {suffix: of for suffix, of in LENS_FORMATS.items() if of.writer is not None}
+"""Formats that are also written."""
 
 
 def read_lens_file(
@@ -46,7 +52,7 @@ def read_lens_file(
     Parameters
     ----------
     path
-        A file that ends in ``.zmx`` (Zemax OpticStudio) or ``.seq`` (CODE V).
+        A file that ends in ``.zmx`` (Zemax OpticStudio), ``.seq`` (CODE V) or ``.len`` (OSLO).
     supplement
         Values that a design needs and the file lacks (default: none).
     lossy
@@ -66,7 +72,7 @@ def read_lens_file(
     MaterialError
         If a glass is unknown.
     """
-    of = _format_of(path, "read")
+    of = _format_of(path, "read", LENS_FORMATS)
     if supplement is not None and supplement.configuration is not None and of.program != "Zemax":
         raise InputError(f"configuration = {supplement.configuration}: only a .zmx file has several")
     found: Imported = getattr(files, of.reader)(path, supplement, lossy)
@@ -90,11 +96,13 @@ def write_lens_file(lens: Lens, path: str | os.PathLike[str]) -> None:
     MaterialError
         If a glass is unknown.
     """
-    getattr(files, _format_of(path, "write").writer)(lens, path)
+    writer = _format_of(path, "write", WRITTEN_LENS_FORMATS).writer
+    assert writer is not None
+    getattr(files, writer)(lens, path)
 
 
-def _format_of(path: str | os.PathLike[str], verb: str) -> LensFormat:
+def _format_of(path: str | os.PathLike[str], verb: str, formats: Mapping[str, LensFormat]) -> LensFormat:
     suffix = Path(path).suffix.lower()
-    if suffix not in LENS_FORMATS:
-        raise InputError(f"cannot {verb} {path}: the name must end in {' or '.join(LENS_FORMATS)}")
-    return LENS_FORMATS[suffix]
+    if suffix not in formats:
+        raise InputError(f"cannot {verb} {path}: the name must end in {' or '.join(formats)}")
+    return formats[suffix]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from lensdesign.analysis.outline import DrawnOutline, drawn_outline
 from lensdesign.errors import InputError
-from lensdesign.files.formats import LENS_FORMATS, write_lens_file
+from lensdesign.files.formats import WRITTEN_LENS_FORMATS, write_lens_file
 from lensdesign.lens.solid import glass_elements
 from lensdesign.manufacture.dxf.outline import DXF_SUFFIX
 from lensdesign.manufacture.mesh.writing import MESH_SUFFIXES
@@ -210,7 +210,7 @@ EXPORT_FORMATS = {
     **dict.fromkeys(MESH_SUFFIXES, ExportFormat("mesh", _mesh)),
     **dict.fromkeys(STEP_SUFFIXES, ExportFormat("exact solid", _step)),
     DXF_SUFFIX: ExportFormat("outline in section", _outline),
-    **dict.fromkeys(LENS_FORMATS, ExportFormat("lens file", _lens_file)),
+    **dict.fromkeys(WRITTEN_LENS_FORMATS, ExportFormat("lens file", _lens_file)),
 }
 
 

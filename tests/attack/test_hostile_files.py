@@ -36,6 +36,7 @@ from lensdesign.files import read_surface_figure_grid
 from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import LossyImportError
+from lensdesign.files.oslo import read_len
 from lensdesign.files.zemax import read_zmx, write_zmx
 from lensdesign.lens.catalogues.agf import read_agf
 from lensdesign.manufacture.drawing.sheets import lens_drawing, write_drawing
@@ -57,6 +58,7 @@ READERS: dict[str, tuple[Callable[[Path], object], float]] = {
     "study.toml": (load_study, TOML_BYTES),
     "lens.zmx": (read_zmx, LENS_FILE_BYTES),
     "lens.seq": (read_seq, LENS_FILE_BYTES),
+    "lens.len": (read_len, LENS_FILE_BYTES),
     "glass.agf": (read_agf, CATALOG_BYTES),
     "figure.csv": (read_surface_figure_grid, TABLE_BYTES),
     "calibration.json": (lambda path: read_calibration(path, LENS), TABLE_BYTES),

@@ -339,7 +339,7 @@ def test_other_programs_files_go_round(
     assert load_design(back) == load_design(paper_design)
     assert command("import", file, "-o", back, "--pixels", 100, 50, "--pixel-pitch-um", 2.0)[0] == 0
     assert load_design(back).sensor.pixels == (100, 50)
-    assert_refused(command("import", paper_design, "-o", back), ".zmx or .seq")
+    assert_refused(command("import", paper_design, "-o", back), ".zmx or .seq or .len")
     assert_refused(command("import", tmp_path / f"none.{suffix}", "-o", back), "cannot read")
 
 

@@ -12,7 +12,7 @@ from random_lenses import lenses, poses
 
 from lensdesign import InputError, Lens, MaterialError, Pose, files
 from lensdesign.files.draft import Supplement
-from lensdesign.files.formats import LENS_FORMATS, read_lens_file, write_lens_file
+from lensdesign.files.formats import LENS_FORMATS, WRITTEN_LENS_FORMATS, read_lens_file, write_lens_file
 from lensdesign.lens.shapes.even_asphere import without_zeros
 from lensdesign.lens.surface_figure_source import SurfaceFigureSource
 
@@ -28,17 +28,25 @@ def bare(lens: Lens) -> Lens:
 
 
 def write(lens: Lens, path: Path, pose: Pose) -> None:
-    getattr(files, LENS_FORMATS[path.suffix].writer)(lens, path, pose)
+    getattr(files, str(LENS_FORMATS[path.suffix].writer))(lens, path, pose)
 
 
-@pytest.fixture(params=LENS_FORMATS)
+@pytest.fixture(params=WRITTEN_LENS_FORMATS)
 def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """A name for a file of each format, in a folder that is made with it."""
     return tmp_path / "folder" / f"lens{request.param}"
 
 
 def test_every_format_is_tested() -> None:
-    assert OTHERS.keys() == LENS_FORMATS.keys()
+    assert OTHERS.keys() == WRITTEN_LENS_FORMATS.keys()
+    assert WRITTEN_LENS_FORMATS.items() <= LENS_FORMATS.items()
+
+
+def test_a_format_that_is_only_read_is_not_written(tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / "lens.len"
+    with pytest.raises(InputError, match=r"cannot write .*\.zmx or \.seq"):
+        write_lens_file(paper_lens, path)
+    assert not path.exists()
 
 
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])

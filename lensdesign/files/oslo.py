@@ -1,0 +1,796 @@
+"""Read lens files of OSLO (.len).
+
+The reader supports
+
+- LEN NEW with the name and the number of surfaces; lengths in mm (UNI 1.0);
+- the surfaces 0 (object) to the image, separated by NXT: RD or CV, TH, the conic constant CC and the asphere
+  coefficients AD, AE, AF and AG (r^4 to r^10);
+- the media AIR, catalogue glasses (GLA name), and glasses given by an index at each wavelength (GLA 1.5168,
+  GLA MOD name 1.5168 1.5224);
+- apertures AP CHK, which block rays, and the aperture stop AST; without AST, surface 1 is the stop;
+- the entrance beam radius EBR at surface 1 and the object NA NAO, the object height OBH, and wavelengths WV
+  in um (the first one is the primary wavelength);
+- the solves PY and PU, and the pickups PK TH, PK THM and PK GLA of a preceding surface. The file holds no
+  present values of them, so the reader evaluates them in the order of the surfaces.
+
+It ignores weights, notes, thermal expansion, drawings, and the blocks VAR, OPE and RST behind the lens, which
+do not describe it. Every other command that a design cannot represent is reported as a loss. The focal length
+in the LEN command is a value that the user once entered (100 for a new lens), so nothing is compared with it.
+
+The commands follow the OSLO Program Reference and the OSLO Optics Reference (Lambda Research).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from lensdesign.errors import InputError, MaterialError
+from lensdesign.files.assembly import assemble
+from lensdesign.files.draft import (
+    MAX_SURFACES,
+    Draft,
+    Imported,
+    RecordedSurface,
+    Supplement,
+    SurfaceRow,
+    find_glass,
+    parse_number,
+    quoted,
+    read_lines,
+)
+from lensdesign.files.index_tables import tabulated_index
+from lensdesign.lens.glass import get_material, list_glasses, refractive_index
+from lensdesign.lens.shapes.even_asphere import without_zeros
+
+MAKERS = ("SCHOTT", "OHARA", "HOYA", "CORNING", "HIKARI", "SUMITA", "CDGM")
+"""Glass catalogues in the order in which they are searched, because an OSLO file names none."""
+
+INFINITE_MM = 1e8
+"""Distance from which OSLO treats the object as infinitely far."""
+
+DEFAULT_WAVELENGTHS_UM = (0.58756, 0.48613, 0.65627)
+"""Wavelengths of a new lens in OSLO; the commands WV, WV2, ... replace them."""
+
+
+def read_len(
+    path: str | os.PathLike[str], supplement: Supplement | None = None, lossy: bool = False
+) -> Imported:
+    """Read a lens from an OSLO lens file (.len).
+
+    Parameters
+    ----------
+    path
+        A file of OSLO commands that define a lens, in mm: text in UTF-8, UTF-16 or Latin-1.
+    supplement
+        Values that a design needs and the file lacks (default: none).
+    lossy
+        Whether to import a file that a design can represent only in part (default: False).
+
+    Returns
+    -------
+    Imported
+        The lens, and the lists of losses and remarks. The pose is always the nominal one.
+
+    Raises
+    ------
+    LossyImportError
+        If a design cannot represent the whole file and `lossy` is False. The message lists the losses.
+    InputError
+        If the file cannot be read or does not describe a lens. The message names the file and the line or
+        surface.
+    MaterialError
+        If a glass is unknown.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from lensdesign import read_len
+    >>> from lensdesign.files import Supplement
+    >>> _ = Path("lens.len").write_text(
+    ...     'LEN NEW "Singlet" 100 3; NAO 0.1; OBH 4; UNI 1; WV 0.5876; TH 60; NXT; '
+    ...     'GLA N-BK7; RD 50; TH 5; NXT; RD -50; PY 0; NXT; END 3'
+    ... )
+    >>> imported = read_len("lens.len", Supplement(pixel_pitch_um=3.2, pixels=(1000, 800)))
+    >>> imported.lens.surfaces[0].material, round(imported.first_order.efl_mm, 3)
+    ('N-BK7', 49.213)
+    """
+    supplement = supplement or Supplement()
+    reader = FileReader(Draft(source=str(path)))
+    for count, words in commands(read_lines(path), str(path)):
+        _read_command(reader, words, f"{path}, line {count}")
+    _check_complete(reader)
+    _set_stop(reader)
+    _set_aperture(reader)
+    _set_materials(reader, supplement)
+    _evaluate_solves(reader, supplement)
+    return assemble(_finished(reader), supplement, lossy)
+
+
+@dataclass
+class FileSurface:
+    """Values of one surface, collected from its commands.
+
+    `glass` holds the words behind GLA and `glass_wavelengths_um` the wavelengths at that point of the file.
+    `given` maps a quantity that has a value to the command that gives it; `solved` maps a quantity to the
+    words and the location of a solve or pickup. `is_misread` tells that a loss changes the rays behind it.
+    """
+
+    name: str
+    location: str
+    curvature_per_mm: float = 0.0
+    radius_mm: float | None = None
+    thickness_mm: float = 0.0
+    glass: tuple[str, ...] = ()
+    glass_location: str = ""
+    glass_wavelengths_um: tuple[float, ...] = ()
+    material: str | float | None = None
+    conic: float = 0.0
+    terms: dict[str, float] = field(default_factory=dict)
+    semi_diameter_mm: float | None = None
+    unchecked_mm: float | None = None
+    stop: bool = False
+    given: dict[str, str] = field(default_factory=dict)
+    solved: dict[str, tuple[list[str], str]] = field(default_factory=dict)
+    is_misread: bool = False
+
+
+@dataclass
+class FileReader:
+    """State of the reader of one file.
+
+    `aperture` is the system aperture as the file states it: EBR or NAO, its value, and its location. `block`
+    is the name of the open block behind the lens.
+    """
+
+    draft: Draft
+    surfaces: list[FileSurface] = field(default_factory=list)
+    surface_count: int | None = None
+    wavelengths_um: list[float] = field(default_factory=lambda: list(DEFAULT_WAVELENGTHS_UM))
+    has_wavelengths: bool = False
+    has_units: bool = False
+    aperture: tuple[str, float, str] | None = None
+    ended: bool = False
+    block: str = ""
+
+    @property
+    def is_infinite(self) -> bool:
+        """True if the object is at infinity."""
+        return self.surfaces[0].thickness_mm == math.inf
+
+
+_WORDS = re.compile(r"""//.*|"(?:\\.|[^"\\])*"|;|(?:(?!//)[^\s;"])+|\"""")
+
+
+def commands(lines: Sequence[str], source: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the commands of a file: the number of the line and the words of each.
+
+    A semicolon separates commands. Two slashes start a comment.
+
+    Raises
+    ------
+    InputError
+        If a quotation mark is not closed.
+    """
+    for count, line in enumerate(lines, start=1):
+        words: list[str] = []
+        for word in _WORDS.findall(line):
+            if word == '"':
+                raise InputError(f"{source}, line {count}: a quotation mark is not closed")
+            if word.startswith("//"):
+                break
+            if word != ";":
+                words.append(word)
+            elif words:
+                yield count, words
+                words = []
+        if words:
+            yield count, words
+
+
+def _read_command(reader: FileReader, words: list[str], location: str) -> None:
+    """Interpret one command."""
+    word, values = words[0].upper(), words[1:]
+    if word == "LEN":
+        _start_lens(reader, values, location)
+    elif not reader.surfaces:
+        raise InputError(f"{location}: {quoted(words[0])} before LEN NEW, which starts an OSLO lens file")
+    elif reader.ended:
+        _read_trailing(reader, word, words, location)
+    elif word in _STRUCTURAL:
+        raise InputError(f"{location}: {quoted(' '.join(words))}; only files in the order of NXT are read")
+    elif word in _OF_FILE:
+        _OF_FILE[word](reader, values, location)
+    elif re.fullmatch(r"WV[1-9]\d{0,2}", word):
+        _single_wavelength(reader, int(word[2:]), values, location)
+    elif word in _OF_SURFACE:
+        _OF_SURFACE[word](reader, reader.surfaces[-1], word, values, location)
+    elif word not in _IDLE and not re.fullmatch(r"SNO\d+|WW\d+", word):
+        _lose(reader, word, words, location)
+
+
+def _start_lens(reader: FileReader, values: list[str], location: str) -> None:
+    if reader.surfaces:
+        raise InputError(f"{location}: a second LEN; a file must hold one lens")
+    if len(values) not in (2, 4) or values[0].upper() != "NEW" or not values[1].startswith('"'):
+        raise InputError(
+            f"{location}: LEN {quoted(' '.join(values))}; "
+            'expected is LEN NEW "name", a focal length and the number of surfaces'
+        )
+    reader.draft.title = " ".join(re.sub(r"\\(.)", r"\1", values[1][1:-1]).split())
+    if len(values) == 4:
+        parse_number(values[2], location)
+        reader.surface_count = _whole(values[3], location)
+    reader.surfaces.append(FileSurface("surface 0", location))
+
+
+def _whole(text: str, location: str) -> int:
+    if not re.fullmatch(r"[+-]?\d{1,6}", text, re.ASCII):
+        raise InputError(f"{location}: {quoted(text)} must be a whole number")
+    return int(text)
+
+
+def _next_surface(reader: FileReader, values: list[str], location: str) -> None:
+    count = len(reader.surfaces)
+    if count > MAX_SURFACES:
+        raise InputError(f"{location}: more than {MAX_SURFACES} surfaces")
+    reader.surfaces.append(FileSurface(f"surface {count}", location))
+
+
+def _end(reader: FileReader, values: list[str], location: str) -> None:
+    last = len(reader.surfaces) - 1
+    stated = [_whole(v, location) for v in values[:1]]
+    if reader.surface_count is not None:
+        stated.append(reader.surface_count)
+    for number in stated:
+        if number != last:
+            raise InputError(
+                f"{location}: the file states {number} surfaces behind the object, but has {last}; is it "
+                "damaged?"
+            )
+    reader.ended = True
+
+
+# Settings of blocks behind the lens: variables, error function, field points and rays.
+_IDLE_BLOCKS = ("VAR", "OPE", "RST")
+
+
+def _read_trailing(reader: FileReader, word: str, words: list[str], location: str) -> None:
+    """Interpret a command behind the lens; a block extends to its END."""
+    if reader.block:
+        if word == "END":
+            reader.block = ""
+        elif reader.block == "RST" and word == "F":
+            _check_pupil_bounds(reader, words[2:], location)
+    elif word == "CFG" or word in _IDLE_BLOCKS:
+        reader.block = word
+        if word == "CFG":
+            reader.draft.add_loss(f"{_line(location)}: configurations (CFG); the first one is read")
+    else:
+        reader.draft.add_loss(f"{_line(location)}: {quoted(' '.join(words))}")
+
+
+def _check_pupil_bounds(reader: FileReader, values: list[str], location: str) -> None:
+    """Add a loss if the pupil of a field point is not the whole one: bounds -1 and 1 along y and x."""
+    bounds = [parse_number(v, location) for v in values[5:9]]
+    if any(bound != (-1.0, 1.0)[i % 2] for i, bound in enumerate(bounds)):
+        reader.draft.add_loss("vignetting factors")
+
+
+def _line(location: str) -> str:
+    return location.rpartition(", ")[2]
+
+
+# Commands that change the order of the surfaces.
+_STRUCTURAL = ("GTO", "INS", "DEL", "REV", "INV")
+
+# Designer, notes, weights, and settings of analyses or drawings. They do not describe the lens. Fields at
+# infinity are angles (ANG) or image heights (GIH); a design needs an object height instead.
+_IDLE_WORDS = "DES NOT WW TCE ANG GIH DRW LDP CBK ELMDF1 ELMDF2 BDI BDD VX PF LMN LME DT"
+_IDLE = frozenset(_IDLE_WORDS.split())
+
+_LOST_IF_NOT_ZERO = {
+    **dict.fromkeys(("DCX", "DCY", "DCZ", "TLA", "TLB", "TLC", "TOX", "TOY", "TOZ"), "decenter or tilt"),
+    **dict.fromkeys(("CVX", "RDX"), "toroid or cylinder"),
+    **dict.fromkeys(("AH", "AI", "AJ"), "asphere term"),
+}
+
+_LOST = {
+    **dict.fromkeys(("PFL", "PFM"), "perfect lens"),
+    **dict.fromkeys(("GSP", "GOR", "GDP"), "grating"),
+    **dict.fromkeys(("RFL", "RFH"), "mirror, read as a surface in air,"),
+    **dict.fromkeys(("RCO", "BEN", "GC"), "coordinates of another surface"),
+    **dict.fromkeys(("NAP", "FNO", "PUK"), "system aperture at the image"),
+    "TELE": "telecentric object space",
+    "LMO": "group of surfaces",
+    "CALLBACK": "commands that OSLO runs",
+}
+
+
+def _lose(reader: FileReader, word: str, words: list[str], location: str) -> None:
+    """Add a command to the losses, unless it states that there is nothing to lose."""
+    values = words[1:]
+    kind = _LOST_IF_NOT_ZERO.get(word, "")
+    if (kind or re.fullmatch(r"AS\d+", word)) and len(values) == 1 and not parse_number(values[0], location):
+        return
+    state = values[0].upper() if len(values) == 1 else ""
+    if (word, state) in (("TELE", "OFF"), ("APCK", "ON"), ("CALLBACK", "0"), ("ASP", "ADO")):
+        return
+    if word == "LMO" and values and values[0].upper() in ("ELE", "EGR"):  # elements, for drawings
+        return
+    surface = reader.surfaces[-1]
+    surface.is_misread = True
+    kind = kind or _LOST.get(word, "")
+    reader.draft.add_loss(
+        f"{surface.name}, {_line(location)}: {kind + ' ' if kind else ''}{quoted(' '.join(words))}"
+    )
+
+
+def _value(word: str, values: Sequence[str], location: str) -> float:
+    if len(values) != 1:
+        raise InputError(f"{location}: {word} has {len(values)} values; it needs one")
+    return parse_number(values[0], location)
+
+
+def _note_given(surface: FileSurface, quantity: str, word: str, location: str) -> None:
+    """Record that a command gives a quantity.
+
+    Raises
+    ------
+    InputError
+        If another command of the surface gives it, too.
+    """
+    if quantity in surface.given:
+        raise InputError(
+            f"{location}: {word} gives the {quantity} of {surface.name}, which {surface.given[quantity]} "
+            "gives already"
+        )
+    surface.given[quantity] = word
+
+
+def _radius(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    _note_given(surface, "radius", word, location)
+    value = _value(word, values, location)
+    if value:
+        inverse = 1.0 / value
+        if not math.isfinite(inverse):
+            raise InputError(f"{location}: {word} of {value:g}; its inverse exceeds the range of numbers")
+        surface.radius_mm, surface.curvature_per_mm = (value, inverse) if word == "RD" else (inverse, value)
+
+
+def _thickness(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    _note_given(surface, "thickness", word, location)
+    value = _value(word, values, location)
+    surface.thickness_mm = math.inf if value >= INFINITE_MM else value
+
+
+def _air(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    _note_given(surface, "medium", word, location)
+
+
+def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    _note_given(surface, "medium", word, location)
+    if not values:
+        raise InputError(f"{location}: GLA without a glass")
+    surface.glass, surface.glass_location = tuple(v.strip('"') for v in values), location
+    surface.glass_wavelengths_um = tuple(reader.wavelengths_um)
+
+
+def _aperture(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    _note_given(surface, "aperture", word, location)
+    checked = bool(values) and values[0].upper() == "CHK"
+    value = _value(word, values[1:] if checked else values, location)
+    if value < 0.0:
+        raise InputError(f"{location}: AP of {value:g}; an aperture must be at least 0")
+    if value and checked:
+        surface.semi_diameter_mm = value
+    elif value:
+        surface.unchecked_mm = value
+
+
+def _conic(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    _note_given(surface, "conic constant", word, location)
+    surface.conic = _value(word, values, location)
+
+
+def _term(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    _note_given(surface, f"asphere term {word}", word, location)
+    surface.terms[word] = _value(word, values, location)
+
+
+def _stop(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    surface.stop = True
+
+
+def _solve(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    quantity = {"PY": "thickness", "PU": "radius"}[word]
+    _note_given(surface, quantity, word, location)
+    _value(word, values, location)
+    surface.solved[quantity] = ([word, *values], location)
+
+
+def _other_solve(
+    reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str
+) -> None:
+    raise InputError(
+        f"{location}: {surface.name} has the solve {quoted(' '.join([word, *values]))}, which is not "
+        "supported; replace it by its value in OSLO and save the file again"
+    )
+
+
+def _pickup(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    kind = values[0].upper() if values else ""
+    quantity = {"TH": "thickness", "THM": "thickness", "GLA": "medium"}.get(kind)
+    if quantity is None or len(values) not in ((2, 3) if quantity == "thickness" else (2,)):
+        _other_solve(reader, surface, word, values, location)
+        return
+    source = len(reader.surfaces) - 1 + _whole(values[1], location)
+    if not 0 <= source < len(reader.surfaces) - 1:
+        raise InputError(
+            f"{location}: {surface.name} picks up from {quoted(values[1])}; only a preceding surface, "
+            "counted backwards (-1, -2, ...), is understood"
+        )
+    _note_given(surface, quantity, f"PK {kind}", location)
+    for value in values[2:]:
+        parse_number(value, location)
+    surface.solved[quantity] = ([word, kind, *values[1:]], location)
+
+
+_TERMS = ("AD", "AE", "AF", "AG")
+
+_OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, str, list[str], str], None]] = {
+    "RD": _radius,
+    "CV": _radius,
+    "TH": _thickness,
+    "AIR": _air,
+    "GLA": _glass,
+    "AP": _aperture,
+    "CC": _conic,
+    "AST": _stop,
+    **dict.fromkeys(_TERMS, _term),
+    **dict.fromkeys(("PY", "PU"), _solve),
+    **dict.fromkeys(("PYC", "PUC", "PI", "PIC", "EC"), _other_solve),
+    "PK": _pickup,
+}
+
+
+def _units(reader: FileReader, values: list[str], location: str) -> None:
+    value = _value("UNI", values, location)
+    if value != 1.0:
+        raise InputError(
+            f"{location}: UNI {values[0]}: a unit of {value:g} mm; only lengths in mm (1.0) can be read"
+        )
+    reader.has_units = True
+
+
+def _system_aperture(word: str) -> Callable[[FileReader, list[str], str], None]:
+    def read(reader: FileReader, values: list[str], location: str) -> None:
+        value = _value(word, values, location)
+        if reader.aperture is not None:
+            raise InputError(f"{location}: {word} is a second system aperture beside {reader.aperture[0]}")
+        if value <= 0.0 or (word == "NAO" and value >= 1.0):
+            allowed = "between 0 and 1" if word == "NAO" else "greater than 0"
+            raise InputError(f"{location}: {word} of {value:g} must be {allowed}")
+        reader.aperture = (word, value, location)
+
+    return read
+
+
+def _object_height(reader: FileReader, values: list[str], location: str) -> None:
+    reader.draft.half_field_mm = abs(_value("OBH", values, location))
+
+
+def _wavelengths(reader: FileReader, values: list[str], location: str) -> None:
+    if not values:
+        raise InputError(f"{location}: WV without a wavelength")
+    reader.wavelengths_um = [_wavelength(v, location) for v in values]
+    reader.has_wavelengths = True
+
+
+def _single_wavelength(reader: FileReader, number: int, values: list[str], location: str) -> None:
+    value = _wavelength(values[0] if len(values) == 1 else " ".join(values), location)
+    if number > len(reader.wavelengths_um) + 1:
+        raise InputError(f"{location}: WV{number}, but there are {len(reader.wavelengths_um)} wavelengths")
+    reader.wavelengths_um[number - 1 : number] = [value]
+    reader.has_wavelengths = True
+
+
+def _wavelength(text: str, location: str) -> float:
+    value = parse_number(text, location)
+    if value <= 0.0:
+        raise InputError(f"{location}: a wavelength of {value:g} um; it must be greater than 0")
+    return value
+
+
+_OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
+    "NXT": _next_surface,
+    "END": _end,
+    "UNI": _units,
+    "EBR": _system_aperture("EBR"),
+    "NAO": _system_aperture("NAO"),
+    "OBH": _object_height,
+    "WV": _wavelengths,
+}
+
+
+def _check_complete(reader: FileReader) -> None:
+    """Check that the file ends where it should, and add remarks on values that OSLO supplies."""
+    source, draft = reader.draft.source, reader.draft
+    if not reader.surfaces:
+        raise InputError(f"{source}: no LEN NEW found; an OSLO lens file starts with it")
+    if not reader.ended:
+        raise InputError(f"{source}: no END behind {reader.surfaces[-1].name}; is the file cut short?")
+    if reader.block:
+        raise InputError(f"{source}: no END behind {reader.block}; is the file cut short?")
+    if len(reader.surfaces) < 3:
+        raise InputError(
+            f"{source}: {len(reader.surfaces)} surfaces found; there must be an object, a surface and an "
+            "image"
+        )
+    if not reader.has_units:
+        draft.add_remark("the file states no units (UNI); lengths are read as mm, as OSLO does")
+    if not reader.has_wavelengths:
+        draft.add_remark(
+            "the file states no wavelengths (WV); those of a new lens in OSLO are used: "
+            + ", ".join(f"{w:g}" for w in DEFAULT_WAVELENGTHS_UM)
+            + " um"
+        )
+    draft.wavelengths_um = reader.wavelengths_um
+    image = reader.surfaces[-1]
+    if image.thickness_mm or "thickness" in image.solved:
+        draft.add_loss(f"{image.name}: focus shift (TH of the image surface)")
+        image.thickness_mm = 0.0
+        image.solved.pop("thickness", None)
+    unchecked = [s for s in reader.surfaces[1:-1] if s.unchecked_mm is not None]
+    if unchecked:
+        draft.add_remark(
+            "apertures that do not block rays (AP without CHK) were ignored: "
+            + ", ".join(f"{s.name} {s.unchecked_mm:.6g} mm" for s in unchecked)
+        )
+
+
+def _set_stop(reader: FileReader) -> None:
+    """Set the stop; in a file without AST it is surface 1."""
+    stops = [s for s in reader.surfaces if s.stop]
+    inner = reader.surfaces[1:-1]
+    if len(stops) > 1 or any(s is reader.surfaces[0] or s is reader.surfaces[-1] for s in stops):
+        names = ", ".join(s.name for s in stops)
+        raise InputError(
+            f"{reader.draft.source}: aperture stop (AST) at {names}; it must be one surface between the "
+            "object and the image"
+        )
+    if not stops and inner:
+        inner[0].stop = True
+        reader.draft.add_remark("the file marks no aperture stop (AST); in OSLO it is surface 1 then")
+
+
+def _set_aperture(reader: FileReader) -> None:
+    """Convert the system aperture: EBR is the beam's radius at surface 1."""
+    if reader.aperture is None:
+        return
+    word, value, location = reader.aperture
+    distance = reader.surfaces[0].thickness_mm
+    if word == "NAO" and reader.is_infinite:
+        raise InputError(f"{location}: an object NA (NAO), but the object is at infinity")
+    if word == "NAO":
+        reader.draft.aperture = ("object_na", value)
+    elif reader.is_infinite:
+        reader.draft.aperture = ("pupil_diameter_mm", 2.0 * value)
+    elif distance > 0.0:
+        reader.draft.aperture = ("object_na", math.sin(math.atan(value / distance)))
+
+
+def _set_materials(reader: FileReader, supplement: Supplement) -> None:
+    """Set the medium behind each surface, in order, because a pickup copies a preceding one."""
+    for i, surface in enumerate(reader.surfaces):
+        if "medium" in surface.solved:
+            (_, _, step), _ = surface.solved["medium"]
+            surface.material = reader.surfaces[i + int(step)].material
+            reader.draft.add_remark(
+                f"{surface.name}: pickup of the glass replaced by {surface.material or 'AIR'}"
+            )
+        else:
+            surface.material = _material(reader, surface, supplement)
+
+
+def _material(reader: FileReader, surface: FileSurface, supplement: Supplement) -> str | float | None:
+    """Return the medium behind a surface: None for air, a glass name, or an index."""
+    words = surface.glass
+    if not words or words == ("AIR",):
+        return None
+    model = words[0].upper() == "MOD"
+    values = list(words[1:]) if model else list(words)
+    name = "" if values and _is_number(values[0]) else "".join(values[:1])
+    indices = values[1:] if name else values
+    if indices:
+        return _tabulated(reader, surface, name, indices)
+    if model:
+        raise InputError(f"{surface.glass_location}: model glass {quoted(' '.join(words))} without an index")
+    return _catalog_glass(reader, surface, name, supplement)
+
+
+def _is_number(text: str) -> bool:
+    return text[:1].isdigit() or text[:1] in "+-."
+
+
+def _tabulated(reader: FileReader, surface: FileSurface, name: str, values: Sequence[str]) -> float:
+    """Return the index of a glass that the file defines by its index at each wavelength."""
+    location = surface.glass_location
+    label = f"the model glass {name}" if name else f"the glass {quoted(' '.join(values))}"
+    indices = [parse_number(v, location) for v in values]
+    # Largest accepted index. No transparent medium exceeds it, and an Abbe number does.
+    largest_index = 10.0
+    for index in indices:
+        if not 1.0 <= index <= largest_index:
+            raise InputError(
+                f"{location}: {label} has an index of {index:g}; allowed is 1 to {largest_index:g}, one for "
+                "each wavelength"
+            )
+    if len(set(indices)) == 1:
+        return indices[0]
+    wavelengths_um = surface.glass_wavelengths_um
+    if len(indices) != len(wavelengths_um):
+        raise InputError(
+            f"{location}: {label} has {len(indices)} indices, and there are {len(wavelengths_um)} "
+            "wavelengths (WV) in front of it"
+        )
+    wavelengths_nm = [1000.0 * w for w in wavelengths_um]
+    index, remark, loss = tabulated_index(label, wavelengths_nm, indices, 1000.0 * reader.wavelengths_um[0])
+    if remark:
+        reader.draft.add_remark(f"{surface.name}: {remark}")
+    if loss:
+        reader.draft.add_loss(f"{surface.name}: {loss}")
+    if len(reader.wavelengths_um) > 1:
+        reader.draft.add_loss(f"{surface.name}: dispersion of {label}")
+    return index
+
+
+def _catalog_glass(reader: FileReader, surface: FileSurface, name: str, supplement: Supplement) -> str:
+    location, catalogs = surface.glass_location, supplement.glass_catalogs
+    own = {path.name for path in catalogs}
+    prefix = re.fullmatch(
+        r"[A-Za-z]_.+", name
+    )  # a maker in OSLO's own catalogues; which one is not documented
+    if prefix and not any(n.casefold() == name.casefold() for n, c in list_glasses(catalogs) if c in own):
+        raise MaterialError(
+            f"{location}: glass {quoted(name)}: the maker of the prefix {name[:2]} is not known; replace "
+            "the name by the maker's, or give a glass catalogue that has it"
+        )
+
+    def remark(message: str) -> None:
+        reader.draft.add_remark(f"{surface.name}: {message}")
+
+    found = find_glass(name, MAKERS, catalogs, location, remark)
+    maker = get_material(found, catalogs).catalog
+    if maker not in own:
+        remark(f"glass {name} is that of {maker}; an OSLO file does not name the catalogue")
+    return found
+
+
+def _evaluate_solves(reader: FileReader, supplement: Supplement) -> None:
+    """Replace solves and pickups by their values, in the order of the surfaces.
+
+    The paraxial marginal ray determines a solve. PU gives the curvature behind which the ray has a slope, and
+    PY the thickness at whose end it has a height.
+    """
+    front, *inner, image = reader.surfaces
+    for surface in (front, image):
+        for quantity, (words, location) in surface.solved.items():
+            if quantity != "medium":
+                raise InputError(
+                    f"{location}: the solve {quoted(' '.join(words))} of {surface.name}; only surfaces "
+                    "between the object and the image may have solves"
+                )
+    height, slope = _marginal_ray(reader)
+    index, misread = 1.0, front.is_misread or front.material is not None
+    for i, surface in enumerate(inner, start=1):
+        misread = misread or surface.is_misread
+        behind = _index(reader, surface, supplement)
+        if "radius" in surface.solved:
+            target = _solve_target(reader, surface, "radius", misread)
+            power = (index - behind) * height
+            curvature = (behind * target - index * slope) / power if power else math.nan
+            surface.curvature_per_mm = _solved_value(reader, surface, "radius", curvature)
+            surface.radius_mm = 1.0 / curvature if curvature else None
+        slope = (index * slope - (behind - index) * surface.curvature_per_mm * height) / behind
+        if "thickness" in surface.solved:
+            words, location = surface.solved["thickness"]
+            if words[0] == "PK":
+                source = reader.surfaces[i + int(words[2])].thickness_mm
+                offset = parse_number(words[3], location) if len(words) > 3 else 0.0
+                thickness = (-source if words[1] == "THM" else source) + offset
+            else:
+                target = _solve_target(reader, surface, "thickness", misread)
+                thickness = (target - height) / slope if slope else math.nan
+            surface.thickness_mm = _solved_value(reader, surface, "thickness", thickness)
+        height += surface.thickness_mm * slope
+        index = behind
+
+
+def _marginal_ray(reader: FileReader) -> tuple[float, float]:
+    """Return height and slope of the paraxial marginal ray at surface 1.
+
+    Without a system aperture, the height at surface 1 is 1 mm.
+    """
+    distance = reader.surfaces[0].thickness_mm
+    word, value, _ = reader.aperture or ("EBR", 1.0, "")
+    if reader.is_infinite:
+        return value, 0.0
+    if word == "NAO":
+        tangent = math.tan(math.asin(value))
+        return tangent * distance, tangent
+    return value, value / distance if distance else math.nan
+
+
+def _index(reader: FileReader, surface: FileSurface, supplement: Supplement) -> float:
+    if surface.material is None:
+        return 1.0
+    try:
+        return refractive_index(surface.material, reader.wavelengths_um[0], supplement.glass_catalogs)
+    except MaterialError as error:
+        raise MaterialError(f"{surface.glass_location}: {error}") from error
+
+
+def _solve_target(reader: FileReader, surface: FileSurface, quantity: str, misread: bool) -> float:
+    """Return the height or slope that a solve asks for.
+
+    Raises
+    ------
+    InputError
+        If the marginal ray at the surface is not known.
+    """
+    words, location = surface.solved[quantity]
+    target = parse_number(words[1], location)
+    reason = ""
+    if misread:
+        reason = "a surface up to this one has contents that a design cannot represent"
+    elif reader.aperture is None and (target or words[0] == "PU"):
+        reason = "the file lacks EBR and NAO"
+    if reason:
+        raise InputError(
+            f"{location}: the solve {quoted(' '.join(words))} of {surface.name} cannot be evaluated: {reason}"
+        )
+    return target
+
+
+def _solved_value(reader: FileReader, surface: FileSurface, quantity: str, value: float) -> float:
+    """Return the value of a solve or a pickup, and add a remark on it."""
+    words, location = surface.solved[quantity]
+    text = " ".join(words)
+    if math.isnan(value):
+        raise InputError(
+            f"{location}: no {quantity} of {surface.name} meets the solve {quoted(text)}: the marginal ray "
+            "runs along the axis or parallel to it"
+        )
+    name, shown = ("curvature", f"{value:.8g} /mm") if quantity == "radius" else (quantity, f"{value:.8g} mm")
+    reader.draft.add_remark(f"{surface.name}: {text} replaced by its value, a {name} of {shown}")
+    return value
+
+
+def _finished(reader: FileReader) -> Draft:
+    """Return the draft, completed with the surfaces."""
+    draft = reader.draft
+    if reader.is_infinite:
+        draft.half_field_mm = None  # OSLO states angles then; OBH lies at infinity
+    for surface in reader.surfaces:
+        draft.rows.append(
+            SurfaceRow(
+                surface.name,
+                surface.location,
+                surface.radius_mm,
+                surface.conic,
+                {"asphere": without_zeros([surface.terms.get(letter, 0.0) for letter in _TERMS])},
+                surface.thickness_mm,
+                surface.material,
+                surface.semi_diameter_mm,
+                surface.stop,
+            )
+        )
+        draft.recorded.append(
+            RecordedSurface(surface.curvature_per_mm, surface.thickness_mm, surface.material, surface.stop)
+        )
+    draft.check_object_and_image()
+    return draft
