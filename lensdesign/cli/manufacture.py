@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from lensdesign.manufacture.drawing.primitives import Drawing
     from lensdesign.manufacture.step.writing import StepReport
 
-LENS_FILES = ", ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
+*_FIRST, _LAST = (f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
+LENS_FILES = f"{', '.join(_FIRST)} or {_LAST}"
 
 
 def export(

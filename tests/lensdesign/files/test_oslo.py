@@ -214,6 +214,25 @@ def test_values_that_oslo_supplies_are_remarked(tmp_path: Path) -> None:
     assert any("no wavelengths (WV)" in remark for remark in result.remarks)
 
 
+@pytest.mark.parametrize(
+    ("name", "index"),
+    [("BAF4", 1.60562), ("F2", 1.62004), ("LF5", 1.58144), ("SK16", 1.62041), ("H-K9L", 1.5168)],
+)
+def test_old_names_are_those_of_schott(tmp_path: Path, name: str, index: float) -> None:
+    """Indices at the d line by Schott's old catalogues; CDGM and LZOS use some of these names otherwise."""
+    lens = read(tmp_path, SAVED, "N-BK7", name).lens
+    assert lens.indices(0.5875618)[1] == pytest.approx(index, abs=2e-5)
+
+
+@pytest.mark.parametrize("name", ["F7", "H_LAF2"])
+def test_the_users_catalogue_supplies_unknown_names(tmp_path: Path, name: str) -> None:
+    own = tmp_path / "own.agf"
+    own.write_text(f"NM {name} 2 517642 1.5 64\nCD 1.04 0.006 0.23 0.02 1.01 103.5\nLD 0.4 0.7\n")
+    supplement = Supplement(pixel_pitch_um=3.2, pixels=(10, 10), glass_catalogs=(own,))
+    result = read_len(saved(tmp_path, SAVED.replace("N-BK7", name)), supplement)
+    assert 1.5 < result.lens.indices(0.5875618)[1] < 1.53
+
+
 BLOCKS = """VAR NEW
 V 1 4 0 CV 0 0
 END
@@ -314,6 +333,7 @@ FAULTS = [
     ("GLA N-BK7", "GLA 1.5 1.6", "has 2 indices, and there are 3 wavelengths"),
     ("GLA N-BK7", "GLA N-BK77", "line 13: unknown material 'N-BK77'"),
     ("GLA N-BK7", "GLA H_LAF2", "the maker of the prefix H_ is not known"),
+    ("GLA N-BK7", "GLA F7", "line 13: glass 'F7' is known from CDGM alone"),
     ("WV 0.58756\n", "WV 0\n", "a wavelength of 0 um"),
     ("WV 0.58756\n", "WV\n", "WV without a wavelength"),
     ("WV 0.58756\n", "WV9 0.5\n", "WV9, but there are 3 wavelengths"),
