@@ -27,7 +27,7 @@ from lensdesign.stock.arrangement import Arrangement, working_distances_mm
 PENALTY = 10.0
 """Weight of loads above 1 other than that of the spread; a smaller spread never outweighs them."""
 
-MARGIN = 0.9995
+MARGIN = 0.9999
 """Largest load of the sampled rays that counts as met, since the check finds slightly worse rays."""
 
 
@@ -50,10 +50,10 @@ class Sampling:
     spacings: tuple[int, int]
 
 
-COARSE = Sampling(2, 7, 2, (7, 3), (5, 2))
+COARSE = Sampling(2, 7, 2, (9, 4), (5, 2))
 """For a ranking of thousands of arrangements."""
 
-FINE = Sampling(4, 13, 4, (7, 5), (5, 4))
+FINE = Sampling(4, 13, 4, (9, 7), (7, 4))
 """For the arrangements that are checked."""
 
 _BLOCKED = 1e3
@@ -122,13 +122,13 @@ def find_distances(
     def rank_at(spacing_mm: Array) -> Array:
         """Return the rank at the best working distance of each spacing, and remember these distances."""
 
-        def rank(working_mm: Array) -> Array:
-            spread, others = traced.loads(working_mm, spacing_mm[0])
+        def rank(log_working: Array) -> Array:
+            spread, others = traced.loads(np.exp(log_working), spacing_mm[0])
             return spread + PENALTY * np.maximum(0.0, others / margin - 1.0)
 
-        near, far = (np.full(spacing_mm.shape[1], end) for end in distances)
+        near, far = (np.full(spacing_mm.shape[1], math.log(end)) for end in distances)
         best, values = smallest_of(rank, near, far, *sampling.working_distances)
-        found.update(zip(spacing_mm[0], best, strict=True))
+        found.update(zip(spacing_mm[0], np.clip(np.exp(best), *distances), strict=True))
         return values[None]
 
     found: dict[float, float] = {}
@@ -144,9 +144,9 @@ def find_distances(
 def smallest_of(
     function: Callable[[Array], Array], low: Array, high: Array, points: int, rounds: int
 ) -> tuple[Array, Array]:
-    """Return where functions of one variable are smallest within bounds above 0, and their values.
+    """Return where functions of one variable are smallest within bounds, and their values.
 
-    Each round evaluates points in geometric progression and continues between the neighbours of the best one.
+    Each round evaluates points at equal distances and continues between the neighbours of the best one.
 
     Parameters
     ----------
@@ -162,8 +162,7 @@ def smallest_of(
         return low, function(low[:, None])[:, 0]
     rows = np.arange(count)
     for _ in range(rounds):
-        fractions = np.linspace(0.0, 1.0, points)
-        tried = low[:, None] * (high / low)[:, None] ** fractions
+        tried = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, points)
         values = function(tried)
         best = np.argmin(values, axis=1)
         low, high = tried[rows, np.maximum(best - 1, 0)], tried[rows, np.minimum(best + 1, points - 1)]
