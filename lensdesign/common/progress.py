@@ -77,6 +77,8 @@ class ProgressCount:
 
     def update(self, done: int, total: int | None, what: str) -> None:
         """Show the completed and the total number of steps, if it is known, and the name of the next one."""
+        if done < self._done:  # another stage begins, whose steps take another time
+            self._first, self._began = None, now()
         self._done = done
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, total=total, description=visible(what))

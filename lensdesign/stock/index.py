@@ -79,6 +79,13 @@ class StockIndex:
         All files, ordered by name.
     read_count
         Number of files that were read now; the others had not changed.
+
+    Examples
+    --------
+    >>> from lensdesign import index_stock, load_design, write_zmx
+    >>> write_zmx(load_design("designs/paper_singlet.toml"), "papers/paper.zmx")
+    >>> [file.title for file in index_stock("papers").lenses]
+    ['Spatial information transfer lens, Table 1']
     """
 
     folder: Path

@@ -80,6 +80,12 @@ class StockSettings:
     yield_trials
         Number of Monte Carlo trials of each of these lenses; with 0 their yield is only predicted. A trial
         with the merits of a grade takes a second or more.
+
+    Examples
+    --------
+    >>> from lensdesign import StockSettings
+    >>> StockSettings(keep=3).traced
+    500
     """
 
     keep: int = 10
@@ -154,6 +160,15 @@ class StockResult:
         Number of different lenses, and of single lenses and pairs with all orientations.
     traced
         Number of arrangements through which rays were traced.
+
+    Examples
+    --------
+    >>> from lensdesign import find_stock_lenses, index_stock, load_design, load_specification, write_zmx
+    >>> write_zmx(load_design("designs/feasible_singlet.toml"), "one_lens/singlet.zmx")
+    >>> specification = load_specification("designs/feasible_singlet_spec.toml")
+    >>> result = find_stock_lenses(index_stock("one_lens"), specification)
+    >>> result.lenses, result.singles, result.pairs  # each with both orientations
+    (1, 2, 4)
     """
 
     matches: tuple[StockMatch, ...]
@@ -204,9 +219,9 @@ def find_stock_lenses(
     Examples
     --------
     >>> from lensdesign import find_stock_lenses, index_stock, load_design, load_specification, write_zmx
-    >>> write_zmx(load_design("designs/feasible_singlet.toml"), "vendor/singlet.zmx")
+    >>> write_zmx(load_design("designs/feasible_singlet.toml"), "suitable/singlet.zmx")
     >>> specification = load_specification("designs/feasible_singlet_spec.toml")
-    >>> found = find_stock_lenses(index_stock("vendor"), specification)
+    >>> found = find_stock_lenses(index_stock("suitable"), specification)
     >>> best = found.matches[0]
     >>> best.arrangement.name, round(best.report.max_spread_deg, 2), best.report.feasible
     ('singlet', 4.64, True)

@@ -81,7 +81,7 @@ def test_the_order_of_pairs_is_that_of_traced_rays() -> None:
     assert traced[0] < min(traced) + 0.02
     assert np.argmax(traced) == 3
     assert np.argmax(ranks) == 3
-    assert ranks[0] == pytest.approx(traced[0], rel=0.15)
+    assert ranks[0] == pytest.approx(traced[0], rel=0.3)
 
 
 @given(st.lists(st.floats(15.0, 300.0), min_size=2, max_size=6))
