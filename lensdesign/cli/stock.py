@@ -49,7 +49,7 @@ def stock(
             help="Largest number of single lenses, and of pairs, through which rays are traced.",
             rich_help_panel=OptionGroup.SOLVER,
         ),
-    ] = 500,
+    ] = 300,
     clear_fraction: Annotated[
         float,
         typer.Option(

@@ -54,7 +54,7 @@ from lensdesign.stock.index import IndexedFile, Progress, StockIndex
 YIELD_LENSES = 3
 """Number of the best lenses whose yield as built is found."""
 
-_REFINED_FOR_EACH, _REFINED_BESIDES = 3, 20
+_REFINED_FOR_EACH, _REFINED_BESIDES = 2, 10
 """Arrangements that are traced finely for each one to be kept, and in addition."""
 
 _BATCH = 20
@@ -85,11 +85,11 @@ class StockSettings:
     --------
     >>> from lensdesign import StockSettings
     >>> StockSettings(keep=3).traced
-    500
+    300
     """
 
     keep: int = 10
-    traced: int = 500
+    traced: int = 300
     clear_fraction: float = 1.0
     tolerances: str | None = None
     yield_trials: int = 0
