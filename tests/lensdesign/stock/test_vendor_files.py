@@ -71,7 +71,7 @@ def test_losses_of_the_glass_are_refused_and_coatings_are_not(tmp_path: Path) ->
     with pytest.raises(LossyImportError):
         read(
             tmp_path,
-            text.replace("  CURV 0.0\r\n  DISZ 46.5", "  TYPE TOROIDAL\r\n  CURV 0.0\r\n  DISZ 46.5"),
+            text.replace("  CURV 0.0\r\n  DISZ 46.5", "  TYPE FZERNSAG\r\n  CURV 0.0\r\n  DISZ 46.5"),
         )
 
 
