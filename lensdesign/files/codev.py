@@ -43,6 +43,7 @@ from lensdesign.files.draft import (
     check_writable,
     field_height_reader,
     find_glass,
+    find_glass_of_unknown_maker,
     note_lines,
     parse_number,
     plain_title,
@@ -222,7 +223,10 @@ def _material(
     def remark(message: str) -> None:
         reader.draft.add_remark(f"{surface.name}: {message}")
 
-    return find_glass(name, makers or list(MAKERS), supplement.glass_catalogs, surface.glass_location, remark)
+    catalogs, location = supplement.glass_catalogs, surface.glass_location
+    if makers:
+        return find_glass(name, makers, catalogs, location, remark)
+    return find_glass_of_unknown_maker(name, catalogs, location, remark)
 
 
 def _private_index(reader: FileReader, surface: FileSurface, glass: PrivateGlass) -> float:

@@ -34,6 +34,12 @@ MAX_SURFACES = 1000
 NOTE = "transferlens"
 """First word of the comments that hold data of a design which the other program's format lacks."""
 
+SEARCHED_MAKERS = ("SCHOTT", "OHARA", "HOYA", "CORNING", "HIKARI", "SUMITA", "CDGM")
+"""Glass catalogues in the order in which they are searched if a file names none."""
+
+MAKERS_WITH_OTHER_NAMES = ("CDGM", "LZOS")
+"""Makers whose names without a hyphen denote other glasses than those of Schott (F7: 1.636, not 1.625)."""
+
 TOLERANCE_MM = 1e-9
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
@@ -460,6 +466,36 @@ def find_glass(
     except MaterialError as error:
         raise MaterialError(f"{location}: {error}") from error
     return name
+
+
+def find_glass_of_unknown_maker(
+    name: str, catalogs: Sequence[Path], location: str, remark: Callable[[str], None]
+) -> str:
+    """Return the name of a glass in a design file, for a file that does not name the maker.
+
+    Parameters
+    ----------
+    name, catalogs, location
+        See :func:`find_glass`.
+    remark
+        Called with a sentence on the catalogue that has the glass.
+
+    Raises
+    ------
+    MaterialError
+        If no catalogue has the glass, or only that of a maker who uses such names for other glasses.
+    """
+    found = find_glass(name, SEARCHED_MAKERS, catalogs, location, remark)
+    maker = get_material(found, catalogs).catalog
+    if maker in {path.name for path in catalogs}:
+        return found
+    if maker.upper() in MAKERS_WITH_OTHER_NAMES and "-" not in found:
+        raise MaterialError(
+            f"{location}: glass {quoted(name)} is known from {maker} alone, whose names of this form "
+            "differ from Schott's; give a glass catalogue that has it"
+        )
+    remark(f"glass {name} is that of {maker}; the file does not name the catalogue")
+    return found
 
 
 def _remark_notes(name: str, catalogs: Sequence[Path], remark: Callable[[str], None]) -> None:

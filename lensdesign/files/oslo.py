@@ -37,20 +37,14 @@ from lensdesign.files.draft import (
     RecordedSurface,
     Supplement,
     SurfaceRow,
-    find_glass,
+    find_glass_of_unknown_maker,
     parse_number,
     quoted,
     read_lines,
 )
 from lensdesign.files.index_tables import tabulated_index
-from lensdesign.lens.glass import get_material, list_glasses, refractive_index
+from lensdesign.lens.glass import list_glasses, refractive_index
 from lensdesign.lens.shapes.even_asphere import without_zeros
-
-MAKERS = ("SCHOTT", "OHARA", "HOYA", "CORNING", "HIKARI", "SUMITA")
-"""Glass catalogues in the order in which they are searched, because an OSLO file names none."""
-
-OTHER_NAMES = ("CDGM", "LZOS")
-"""Makers whose names without a hyphen denote other glasses than those of Schott (F7: 1.636, not 1.625)."""
 
 INFINITE_MM = 1e8
 """Distance from which OSLO treats the object as infinitely far."""
@@ -666,16 +660,7 @@ def _catalog_glass(reader: FileReader, surface: FileSurface, name: str, suppleme
     def remark(message: str) -> None:
         reader.draft.add_remark(f"{surface.name}: {message}")
 
-    found = find_glass(name, MAKERS, catalogs, location, remark)
-    maker = get_material(found, catalogs).catalog
-    if maker.upper() in OTHER_NAMES and maker not in own and "-" not in found:
-        raise MaterialError(
-            f"{location}: glass {quoted(name)} is known from {maker} alone, whose names of this form "
-            "differ from Schott's; give a glass catalogue that has it"
-        )
-    if maker not in own:
-        remark(f"glass {name} is that of {maker}; an OSLO file does not name the catalogue")
-    return found
+    return find_glass_of_unknown_maker(name, catalogs, location, remark)
 
 
 def _evaluate_solves(reader: FileReader, supplement: Supplement) -> None:

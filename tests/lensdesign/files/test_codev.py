@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from places import GOLDEN
 
-from lensdesign import InputError, Lens, Pose
+from lensdesign import InputError, Lens, MaterialError, Pose
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.files.codev import read_seq, write_seq
@@ -408,3 +408,20 @@ def test_the_users_catalogue_wins_over_the_maker_that_the_file_names() -> None:
     result = read_seq(GOLDEN / "imports" / "unused_private_glass.seq", own)
     assert result.lens.indices(0.532)[1] == pytest.approx(1.52075, abs=5e-6)
     assert "surface 1: glass NBK7 is that of schott_melt.agf, not of Schott" in result.remarks
+
+
+@pytest.mark.parametrize(
+    ("name", "index"), [("BAF4", 1.60562), ("F2", 1.62004), ("SK16", 1.62041), ("HK9L", 1.5168)]
+)
+def test_names_without_a_maker_are_those_of_schott(tmp_path: Path, name: str, index: float) -> None:
+    """Indices at the d line by Schott's old catalogues; CDGM uses some of these names otherwise."""
+    result = read_seq(saved(tmp_path, ASPHERE.replace("'NBK7_SCHOTT'", name)), SENSOR)
+    assert result.lens.indices(0.5875618)[1] == pytest.approx(index, abs=2e-5)
+    assert any("does not name the catalogue" in remark for remark in result.remarks)
+
+
+def test_names_that_only_other_makers_use_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MaterialError, match="known from CDGM alone"):
+        read_seq(saved(tmp_path, ASPHERE.replace("'NBK7_SCHOTT'", "F7")), SENSOR)
+    named = read_seq(saved(tmp_path, ASPHERE.replace("'NBK7_SCHOTT'", "F7_CDGM")), SENSOR)
+    assert named.lens.indices(0.5875618)[1] == pytest.approx(1.636, abs=1e-3)
