@@ -9,6 +9,7 @@ command prints, and the command runs as it stands there, it must print that.
 
 from __future__ import annotations
 
+import lzma
 import re
 import shlex
 from hashlib import sha256
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from places import ROOT
+from places import GOLDEN, ROOT
 from quick_verdicts import judge_quickly
 from short_studies import copy_designs
 from small_pictures import draw_few_dots
@@ -221,11 +222,12 @@ def runner() -> Runner:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working folder with the designs in it.
+    """A working folder with the designs, and an interferogram.
 
     Comparisons take every second setting of engines, and reconstructions judge quickly.
     """
     copy_designs(tmp_path)
+    (tmp_path / "front.dat").write_bytes(lzma.decompress((GOLDEN / "interferogram/flat.dat.xz").read_bytes()))
     draw_few_dots(monkeypatch)
     judge_quickly(monkeypatch)
     every = comparison.variants

@@ -15,6 +15,7 @@ from lensdesign.common.options import GRADES, Json, output_option
 from lensdesign.common.outputs import output_file
 from lensdesign.common.progress import progress_count
 from lensdesign.common.text import known_text, visible
+from lensdesign.files.formats import LENS_FORMATS
 
 if TYPE_CHECKING:
     from lensdesign.stock.index import StockIndex
@@ -26,7 +27,8 @@ def stock(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="FOLDER", help="Folder with lens files of vendors: .zmx or .seq, at any depth."
+            metavar="FOLDER",
+            help=f"Folder with lens files of vendors: {', '.join(LENS_FORMATS)}, at any depth.",
         ),
     ],
     spec: Annotated[

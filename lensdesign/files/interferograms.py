@@ -21,6 +21,7 @@ import numpy as np
 from scipy import ndimage
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.errors import InputError
 from lensdesign.lens.surface_figure import FEWEST_POINTS
 
@@ -29,6 +30,9 @@ Side = Literal["front", "back"]
 
 DAT_MAGIC = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
 """First bytes of MetroPro files."""
+
+UNREADABLE = (OSError, ImportError, ValueError, TypeError, AttributeError, LookupError, RuntimeError)
+"""Exceptions by which prysm and h5py end in damaged files."""
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 """First bytes of Mx files, which are HDF5."""
@@ -96,6 +100,7 @@ def read_interferogram(path: str | os.PathLike[str], spacing_mm: float | None = 
     InputError
         If the file cannot be read, is of another kind, or does not state a spacing and none is given.
     """
+    check_input(path, TABLE_BYTES)
     try:
         with Path(path).open("rb") as file:
             start = file.read(8)
@@ -116,7 +121,7 @@ def read_interferogram(path: str | os.PathLike[str], spacing_mm: float | None = 
         metadata = found["meta"]
         names = [name for name in ("lateral_resolution", "Lateral Resolution") if name in metadata]
         stated_mm = 1e3 * float(metadata[names[0]]) if names else 0.0
-    except (OSError, ImportError, ValueError, TypeError, LookupError, struct.error) as error:
+    except (*UNREADABLE, struct.error) as error:
         raise InputError(f"{path}: cannot be read as a Zygo file; is it cut short? ({error})") from error
     spacing = stated_mm if spacing_mm is None else spacing_mm
     if spacing_mm is None and not 0.0 < stated_mm < np.inf:

@@ -596,7 +596,7 @@ def _set_materials(reader: FileReader, supplement: Supplement) -> None:
 def _material(reader: FileReader, surface: FileSurface, supplement: Supplement) -> str | float | None:
     """Return the medium behind a surface: None for air, a glass name, or an index."""
     words = surface.glass
-    if not words or words == ("AIR",):
+    if not words or (len(words) == 1 and words[0].upper() == "AIR"):
         return None
     model = words[0].upper() == "MOD"
     values = list(words[1:]) if model else list(words)

@@ -600,8 +600,8 @@ def _configurations(reader: FileReader, values: list[str], location: str) -> Non
     reader.in_trailing_block |= bool(reader.surfaces)
     if integer_at(values, 0, location) > 1:
         reader.draft.add_loss(
-            f"{values[0]} configurations; the one whose values the surfaces hold is read, unless a "
-            "configuration is chosen"
+            f"{values[0]} configurations; the one whose values the surfaces hold is read, unless another "
+            "is chosen (--configuration 2, Supplement(configuration=2))"
         )
 
 

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from lensdesign.errors import InputError
 from lensdesign.files.draft import quoted
 
+SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
+"""Solves and pickups of a surface, whose present values are those of the configuration in the surfaces."""
+
 RECORDS = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI"}
 """Record of a surface that an operand sets: its distance, curvature or conic constant."""
 
@@ -56,7 +59,9 @@ def text_of_configuration(lines: Sequence[str], number: int, source: str) -> Con
         raise InputError(f"{source}: configuration {number}: the file has {count}; allowed: {_range(count)}")
     values = _values(lines[start:], count)
     changed = list(lines)
-    losses, operands = [], []
+    losses: list[str] = []
+    operands: list[str] = []
+    is_applied = False
     for (operand, item), of_configuration in values.items():
         if len(set(of_configuration.values())) > 1:
             operands.append(f"{operand} {item}")
@@ -64,12 +69,15 @@ def text_of_configuration(lines: Sequence[str], number: int, source: str) -> Con
         if wanted is None or wanted == held:
             continue
         if operand in RECORDS:
+            is_applied = True
             _set_record(
                 changed, item, RECORDS[operand], wanted, f"{source}: configuration {number}, {operand}"
             )
         else:
             read = f"that of configuration {active} is read"
             losses.append(f"configuration {number}: {operand} {item} of {quoted(wanted)}; {read}")
+    if is_applied:
+        losses += _solved(lines[:start], active)
     if (index := _line_of(changed, "MNUM")) is not None:
         changed[index] = "MNUM 1 1"
     others = f"; they differ in {', '.join(operands)}" if operands else ""
@@ -117,6 +125,21 @@ def _set_record(lines: list[str], surface: int, word: str, value: str, what: str
             lines[i] = f"  {' '.join([word, value, *words[2:]])}"
             return
     lines.insert(starts[0] + 1, f"  {word} {value}")
+
+
+def _solved(lines: Sequence[str], active: int) -> list[str]:
+    """Return the values that solves and pickups gave another configuration, in words."""
+    found, surface = [], ""
+    for line in lines:
+        word, *values = line.split() or [""]
+        is_curvature_solve = word == "CURV" and len(values) > 1 and values[1] not in ("0", "1")
+        if word == "SURF":
+            surface = " ".join(values)
+        elif surface and (word in SOLVES or is_curvature_solve):
+            found.append(
+                f"surface {surface}: {word} solve or pickup; its value of configuration {active} is read"
+            )
+    return found
 
 
 def _line_of(lines: Sequence[str], word: str) -> int | None:

@@ -38,17 +38,20 @@ class StockLens:
     title : str
         Title in the first file.
     surfaces : tuple of Surface
-        Surfaces of the glass, front to back.
+        Surfaces of the glass, front to back, with their clear semi-diameters.
+    edge_semi_diameter_mm : float or None
+        Radius of the edge; None means the largest clear semi-diameter.
     """
 
     files: tuple[str, ...]
     title: str
     surfaces: tuple[Surface, ...]
+    edge_semi_diameter_mm: float | None = None
 
     @property
     def semi_diameter_mm(self) -> float:
         """Radius of the edge: the largest semi-diameter in the file."""
-        return max(surface.semi_diameter_mm or 0.0 for surface in self.surfaces)
+        return self.edge_semi_diameter_mm or max(surface.semi_diameter_mm or 0.0 for surface in self.surfaces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,15 +134,15 @@ class Arrangement:
         if len(self.parts) == 1:
             return 0.0, 0.0
         front, back = self.parts[0].surfaces[-1], self.parts[1].surfaces[0]
-        clear = max(s.semi_diameter_mm or 0.0 for part in self.parts for s in part.surfaces)
+        widest = max(part.lens.semi_diameter_mm for part in self.parts)
         x, y = directions(front.shape, back.shape)
-        r = np.linspace(0.0, clear, 65)[:, None]
+        r = np.linspace(0.0, widest, 65)[:, None]
         narrowest = float(np.min(back.shape.sag(r * x, r * y) - front.shape.sag(r * x, r * y)))
         if math.isnan(narrowest):
-            raise InputError("a surface ends within the clear aperture of the other lens")
+            raise InputError("a surface ends within the edge of the other lens")
         least = max(LEAST_GAP_MM, specification.constraints.min_air_gap_mm - min(narrowest, 0.0))
         # The check reads the saved design, in which the rounding of a sum may take a little.
-        least += 1e-9 * clear
+        least += 1e-9 * widest
         low, high = least, 2.0 * max(part.lens.semi_diameter_mm for part in self.parts)
         stated = _stated_spacing_mm(specification)
         if stated is not None:

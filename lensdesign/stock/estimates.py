@@ -70,7 +70,10 @@ def _step(
     if material is not None and material not in indices:
         indices[material] = refractive_index(material, wavelength_um, catalogs)
     curvature = surface.curvature
-    fourth = surface.conic * curvature**3 + 8.0 * (surface.asphere[0] if surface.asphere else 0.0)
+    # In the plane y-z, without the departure of a Qbfs.
+    fourth = surface.conic * curvature**3 + 8.0 * sum(
+        surface.shape.traced.term(name) for name in ("asphere_4", "odd_asphere_4")
+    )
     sag = float(surface.shape.sag(0.0, semi))
     thickness = surface.thickness_mm or 0.0
     return curvature, fourth, semi, 0.0 if math.isnan(sag) else sag, thickness, indices[material]

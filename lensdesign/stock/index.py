@@ -23,6 +23,7 @@ from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.common.processes import Processes, follow_parent
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.files.draft import LossyImportError
+from lensdesign.files.formats import LENS_FORMATS
 from lensdesign.stock.vendor_files import find_vendor_files, read_stock_lens, surface_tables
 
 INDEX_NAME = ".transferlens-stock.jsonl"
@@ -119,7 +120,8 @@ def index_stock(
     Parameters
     ----------
     folder
-        Folder with lens files of vendors (``.zmx``, ``.seq``), searched with all folders below it.
+        Folder with lens files of vendors (:data:`lensdesign.files.formats.LENS_FORMATS`), searched with all
+        folders below it.
     index
         File that stores the index (default: a hidden file in the folder).
     glass_catalogs
@@ -154,7 +156,8 @@ def index_stock(
         raise InputError(f"{folder}: no such folder; give the folder with the lens files of vendors")
     found, faults = find_vendor_files(folder)
     if not found:
-        raise InputError(f"{folder}: contains no .zmx or .seq file, nor do the folders below it")
+        suffixes = " or ".join(LENS_FORMATS)
+        raise InputError(f"{folder}: contains no {suffixes} file, nor do the folders below it")
     header = {"index": _FORMAT, "version": toolkit_version(), "catalogs": [*map(_fingerprint, catalogs)]}
     known = _known_files(path, header)
     now = dict(_stamps(folder, found))
@@ -206,7 +209,7 @@ def _known_files(path: Path, header: dict[str, Any]) -> dict[str, IndexedFile]:
         return {}
     first, *lines = read_input(path, TABLE_BYTES).decode("utf-8", "replace").splitlines() or [""]
     own = _json_object(first)
-    if own.get("index", "").rpartition(" ")[0] != _FORMAT.rpartition(" ")[0]:
+    if str(own.get("index", "")).rpartition(" ")[0] != _FORMAT.rpartition(" ")[0]:
         raise InputError(f"{path}: is no index of stock lenses; give another file as --index")
     if own != header:
         return {}

@@ -284,10 +284,12 @@ def _different_lenses(
     unknown: dict[str, str] = {}
     for file in files:
         try:
-            surfaces = tuple(_clear(Surface(**table), settings.clear_fraction) for table in file.surfaces)
+            whole = [Surface(**table) for table in file.surfaces]
         except ValueError as error:
             left_out[file.name] = f"the index is damaged; remove it: {error}"
             continue
+        surfaces = tuple(_clear(surface, settings.clear_fraction) for surface in whole)
+        edge = max(surface.semi_diameter_mm or 0.0 for surface in whole)
         fault = next(
             (f for s in surfaces if (f := _unknown(s.material, specification, catalogs, unknown))), ""
         )
@@ -297,7 +299,7 @@ def _different_lenses(
         key = geometry_key(surfaces)
         same = found.get(key)
         found[key] = (
-            StockLens((file.name,), file.title, surfaces)
+            StockLens((file.name,), file.title, surfaces, edge)
             if same is None
             else replace(same, files=(*same.files, file.name))
         )
@@ -379,7 +381,11 @@ def _promising(
     )
     _count(skipped, "single lens: estimated worse than those traced", len(both) - len(singles))
     possible = len(fronts) * len(backs)
-    _count(skipped, "pair: a lens too narrow for its place", count * count - possible)
+    _count(
+        skipped,
+        "pair: first lens too narrow for the light, or second one for the beam",
+        count * count - possible,
+    )
     _count(skipped, "pair: summed power too strong or too weak", possible - estimated)
     _count(skipped, "pair: estimated worse than those traced", estimated - len(pairs))
     return singles + [Arrangement((parts[fronts[i]], parts[backs[j]])) for i, j in pairs]
@@ -410,7 +416,7 @@ def _count(skipped: Counter[str], reason: str, number: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """What a worker needs to trace and check arrangements."""
+    """Specification and catalogues, which a worker process uses."""
 
     specification: Specification
     catalogs: tuple[Path, ...]

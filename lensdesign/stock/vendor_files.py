@@ -89,7 +89,7 @@ def read_stock_lens(path: Path, catalogs: Sequence[Path] = ()) -> tuple[str, tup
         if semi is None:
             raise InputError(
                 f"{path}: the file states no semi-diameter of surface {number} of the glass; add it (DIAM, "
-                "CLAP or CIR)"
+                "CLAP, CIR or AP CHK)"
             )
     sized = [
         surface.replaced(semi_diameter_mm=semi, stop=False)

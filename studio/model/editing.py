@@ -225,7 +225,7 @@ def with_shape(tables: Tables, index: int, shape: str) -> Tables:
     elif shape != "conic":
         surface["shape"] = shape
         for key, across in (("radius_mm", "radius_x_mm"), ("conic", "conic_x")):
-            if key in surface and across in keys:
+            if key in surface and across in keys and across not in surface:
                 surface[across] = surface[key]
     return changed
 

@@ -128,11 +128,12 @@ def _table(bench: Workbench) -> tuple[list[str], list[dict[str, Any]]]:
     columns += [{"radius_x_mm": "radius x (mm)", "conic_x": "conic x"}[key] for key in across]
     columns += ["norm. radius (mm)"] if "normalization_radius_mm" in keys else []
     for key, count in counts.items():
-        of_key = [s.shape_class for s in lens.surfaces if key in s.shape_class.KEYS]
-        columns += [
-            f"{of_key[0].coefficient_label(term)}{' (mm)' if key == 'q_mm' else ''}"
-            for term in COEFFICIENTS[key][:count]
-        ]
+        shapes = dict.fromkeys(s.shape_class for s in lens.surfaces if key in s.shape_class.KEYS)
+        for term in COEFFICIENTS[key][:count]:
+            label = " or ".join(dict.fromkeys(shape.coefficient_label(term) for shape in shapes))
+            columns.append(
+                f"{'odd ' if key == 'odd_asphere' else ''}{label}{' (mm)' if key == 'q_mm' else ''}"
+            )
     rows: list[dict[str, Any]] = [
         _row(
             "object",

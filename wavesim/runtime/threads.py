@@ -65,8 +65,8 @@ def _in_threads(work: Callable[[], None], threads: int) -> None:
     try:
         work()
     finally:
-        # Threads that still work for a caller's caller find nothing left; waiting for them would take long.
-        # Others must end before an exception reaches the caller, because they still write.
+        # Tasks that no thread has started are cancelled, because nothing is left for them. Others must end
+        # before an exception reaches the caller, because they still write.
         started = [one for one in running if not one.cancel()]
         wait(started)
     for one in started:

@@ -87,11 +87,7 @@ class EvenAsphere(Conic):
         return "even asphere" if np.any(self.terms[..., 2:]) else super().kind
 
     def drawn(self) -> DrawnTerms:
-        orders, count = range(4, 2 * len(self.terms), 2), len(self.terms) - 2
-        shown = orders if count <= 2 else (orders[0], orders[-1])
-        words = [f"A_{order} r^{order}" for order in shown] if np.any(self.terms[2:]) else []
-        constants = ((f"A_{n}", float(a)) for n, a in zip(orders, self.terms[2:], strict=True))
-        return DrawnTerms((" + … + " if count > 2 else " + ").join(words), tuple(constants))
+        return drawn_powers("A", range(4, 2 * len(self.terms), 2), self.terms[2:])
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         values = written_coefficients(self.terms[2:], len(ZEMAX_TERMS), "r", "a .zmx file")
@@ -117,6 +113,15 @@ class EvenAsphere(Conic):
     def scaled_keys(cls, values: Mapping[str, Any], factor: float) -> dict[str, Any]:
         asphere = tuple(a / factor ** (2 * i + 3) for i, a in enumerate(values["asphere"]))
         return super().scaled_keys(values, factor) | {"asphere": asphere}
+
+
+def drawn_powers(symbol: str, orders: Sequence[int], coefficients: Array) -> DrawnTerms:
+    """Return what a drawing states of powers of r, with a symbol for the coefficients."""
+    count = len(coefficients)
+    shown = orders if count <= 2 else (orders[0], orders[-1])
+    words = [f"{symbol}_{order} r^{order}" for order in shown] if np.any(coefficients) else []
+    constants = ((f"{symbol}_{n}", float(a)) for n, a in zip(orders, coefficients, strict=True))
+    return DrawnTerms((" + … + " if count > 2 else " + ").join(words), tuple(constants))
 
 
 def without_zeros(asphere: Sequence[float]) -> list[float]:

@@ -23,7 +23,7 @@ from lensdesign.lens.shapes.base import (
     with_coefficient,
 )
 from lensdesign.lens.shapes.conic import Conic
-from lensdesign.lens.shapes.even_asphere import without_zeros
+from lensdesign.lens.shapes.even_asphere import drawn_powers, without_zeros
 
 POWERS = range(3, 13)
 ODD_TERMS = COEFFICIENTS["odd_asphere"]
@@ -95,11 +95,7 @@ class OddAsphere(Conic):
         return "odd asphere" if np.any(self.terms[..., 2:]) else super().kind
 
     def drawn(self) -> DrawnTerms:
-        orders, count = POWERS[: len(self.terms) - 2], len(self.terms) - 2
-        shown = orders if count <= 2 else (orders[0], orders[-1])
-        words = [f"B_{order} r^{order}" for order in shown] if np.any(self.terms[2:]) else []
-        constants = ((f"B_{n}", float(b)) for n, b in zip(orders, self.terms[2:], strict=True))
-        return DrawnTerms((" + … + " if count > 2 else " + ").join(words), tuple(constants))
+        return drawn_powers("B", POWERS[: len(self.terms) - 2], self.terms[2:])
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         values = without_zeros([float(a) for a in self.terms[2:]])

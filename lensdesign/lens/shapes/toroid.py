@@ -23,6 +23,7 @@ from lensdesign.lens.shapes.base import (
     radius_of,
     with_coefficient,
 )
+from lensdesign.lens.shapes.conic import Conic
 from lensdesign.lens.shapes.even_asphere import ORDERS, EvenAsphere, without_zeros, written_coefficients
 
 ZEMAX_TERMS = range(3, 9)
@@ -61,8 +62,8 @@ class Toroid(FormulaShape):
             slope = slope + (j - 1) * terms[j] * power
             power = power * y2
             curve = curve + terms[j] * power
-        d = 1.0 - across * curve
-        s = np.sqrt(d * d - across * across * x * x)
+        d, u = 1.0 - across * curve, across * x
+        s = np.sqrt(d - u) * np.sqrt(d + u)  # not a number beyond the axis of rotation, too
         return curve + across * x * x / (d + s), across * x / s, 2.0 * slope * y * d / s
 
     @staticmethod
@@ -158,6 +159,11 @@ class Toroid(FormulaShape):
 
     def section(self, azimuth_rad: float) -> Section:
         across, down = math.cos(azimuth_rad), math.sin(azimuth_rad)
+        rounding = 1e-12
+        if abs(down) < rounding:
+            return Conic(np.array([self.terms[2], 0.0])).section(azimuth_rad)
+        if abs(across) < rounding:
+            return EvenAsphere(np.delete(self.terms, 2)).section(azimuth_rad)
         paraboloid = float(self.terms[0] * down**2 + self.terms[2] * across**2)
 
         def departure(r: Array) -> tuple[Array, Array]:

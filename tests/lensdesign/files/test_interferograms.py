@@ -129,6 +129,19 @@ def test_a_newer_file_is_read_by_its_units(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.height_mm, 1e-6 * np.arange(100.0).reshape(10, 10))
 
 
+def test_attributes_of_another_form_are_refused(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "map.datx"
+    with h5py.File(path, "w") as file:
+        surface = file.create_dataset("Data/Surface/{1}", data=np.zeros((10, 10)))
+        surface.attrs["No Data"], surface.attrs["Wavelength"] = np.array([1e38]), np.array([632.8e-9])
+        surface.attrs["Unit"] = np.array([b"NanoMeters"])
+        surface.attrs["Interferometric Scale Factor"], surface.attrs["Obliquity Factor"] = [0.5], [1.0]
+        file.create_group("Attributes/{2}").attrs["Name"] = "text"
+    with pytest.raises(InputError, match="cannot be read as a Zygo file"):
+        read_interferogram(path)
+
+
 def test_a_hole_in_the_middle_is_refused() -> None:
     ring = seen(lambda x, y: np.where(np.hypot(x, y) < 0.5, np.nan, 1e-5 * x), "back")
     with pytest.raises(InputError, match=r"areas? without data in the middle"):

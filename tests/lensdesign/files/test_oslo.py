@@ -471,3 +471,7 @@ def hits_of(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     wavelength_um = lens.wavelengths_um[0]
     rays = trace(lens, *launch(lens, field, pupil_hexapolar(2).points, wavelength_um), wavelength_um)
     return rays.position, rays.direction
+
+
+def test_air_is_air_in_small_letters(tmp_path: Path) -> None:
+    assert read(tmp_path, SAVED, "AIR\nTH   190.0", "GLA air\nTH   190.0").lens == read(tmp_path, SAVED).lens

@@ -47,8 +47,16 @@ def test_one_configuration_is_read_by_its_number(zoomed: Path, paper_lens: Lens)
 
 
 def test_without_a_choice_the_file_is_refused(zoomed: Path) -> None:
-    with pytest.raises(LossyImportError, match=r"3 configurations.* unless a configuration is chosen"):
+    with pytest.raises(LossyImportError, match=r"3 configurations.*--configuration 2"):
         read_zmx(zoomed)
+
+
+def test_solves_of_another_configuration_are_losses(zoomed: Path) -> None:
+    text = zoomed.read_text(encoding="utf-16").replace("SURF 2\n", "SURF 2\n  MAZH 0 0\n")
+    zoomed.write_text(text, encoding="utf-16")
+    with pytest.raises(LossyImportError, match=r"surface 2: MAZH solve.* configuration 2 is read"):
+        read_zmx(zoomed, Supplement(configuration=1))
+    assert read_zmx(zoomed, Supplement(configuration=2)).dropped == ()
 
 
 @pytest.mark.parametrize("number", [-1, 0, 4])

@@ -141,3 +141,6 @@ def test_bad_folders_and_indices_are_refused(vendors: Path, tmp_path: Path) -> N
     with pytest.raises(InputError, match="--index"):
         index_stock(vendors, other)
     assert other.read_text() == "precious\n"
+    other.write_text('{"index": 5}\n')
+    with pytest.raises(InputError, match="--index"):
+        index_stock(vendors, other)

@@ -144,6 +144,7 @@ def test_the_clear_fraction_narrows_lenses(index: StockIndex, specification: Spe
     result = find_stock_lenses(index, specification, StockSettings(keep=1, clear_fraction=0.97))
     lens = result.matches[0].lens
     assert max(s.semi_diameter_mm or 0.0 for s in lens.surfaces) == pytest.approx(0.97 * 11.43)
+    assert all(edge.semi_diameter_mm > 11.3 for edge in lens.edges)
 
 
 def test_glass_unknown_at_the_wavelength_is_a_reason(index: StockIndex, specification: Specification) -> None:

@@ -12,7 +12,16 @@ from places import DESIGNS
 from lensdesign import load_design
 from lensdesign.errors import InputError
 from studio.model.document import opened
-from studio.model.editing import Editing, value_at, with_stop, with_surface_after, with_value, without_surface
+from studio.model.editing import (
+    Editing,
+    value_at,
+    with_shape,
+    with_stop,
+    with_surface_after,
+    with_term,
+    with_value,
+    without_surface,
+)
 
 RADIUS = ("surface", 1, "radius_mm")
 
@@ -100,3 +109,19 @@ def test_surfaces_come_and_go() -> None:
     sized = more.changed(with_stop(more.now.tables, 1), "stop on a surface without a size")
     assert sized.lens.stop_semi_diameter_mm == 8.26
     assert more.changed(without_surface(more.now.tables, 1), "less").lens.surfaces[0].thickness_mm == 4.85
+
+
+def test_a_shape_keeps_what_it_shares_with_the_one_before() -> None:
+    toroid = with_value(with_shape(paper().now.tables, 1, "toroid"), ("surface", 1, "radius_x_mm"), -20.0)
+    biconic = with_shape(toroid, 1, "biconic")["surface"][1]
+    assert (biconic["radius_mm"], biconic["radius_x_mm"]) == (-12.0, -20.0)
+    assert biconic["conic_x"] == biconic["conic"]
+
+
+def test_each_shape_has_terms_of_its_own() -> None:
+    for shape, key in (("odd asphere", "odd_asphere"), ("toroid", "asphere"), ("Qbfs", "q_mm")):
+        surface = with_term(with_shape(paper().now.tables, 1, shape), 1)["surface"][1]
+        assert surface["shape"] == shape
+        assert len(surface[key]) >= 1
+        editing = paper()
+        assert editing.changed(with_shape(editing.now.tables, 1, shape), "shape", "").lens is not None

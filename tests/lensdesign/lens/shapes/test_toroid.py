@@ -85,6 +85,17 @@ def test_it_ends_where_the_circle_or_the_curve_ends() -> None:
         toroid(10.0, 7.0, semi_diameter_mm=7.5)
 
 
+def test_there_is_no_sag_beyond_the_axis_of_rotation() -> None:
+    shape = toroid(2.0, 3.0, conic=-1.0).shape
+    assert shape.edge_radius_mm < 5.0
+    assert np.all(np.isnan(shape.sag([1.0, 0.0, 2.0], [5.0, 4.5, 6.0])))
+
+
+def test_its_principal_sections_are_a_circle_and_its_curve() -> None:
+    shape = toroid(12.0, 30.0, conic=-0.5).shape
+    assert [shape.section(angle).kind for angle in (0.0, 0.5 * math.pi, 0.3)] == ["sphere", "conic", "toroid"]
+
+
 def test_it_bends_light_along_x_by_its_radius_of_rotation(lens: Lens, paper_lens: Lens) -> None:
     turned = paper_lens.with_surface(1, shape_type="toroid", radius_x_mm=-12.0)
     origins = np.array([[0.0, 0.0, -13.5]])
