@@ -131,7 +131,7 @@ SHEET = {
     "sbp_sensor": 30225663.4783,
     "max_spread_deg": 4.8105019091,
     "throughput": 1.0,
-    "drawn items": 202,
+    "drawn items": 210,
 }
 
 SPOTS_MM = (14.2724651919, 14.2597403075, 14.221687786)

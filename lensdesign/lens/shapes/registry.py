@@ -75,7 +75,11 @@ def code_of(shape: FormulaShape) -> int:
 @cache
 def parameters() -> dict[str, type[Shape]]:
     """Return the surface parameters that an optimizer may vary, each with the first shape that has it."""
-    return {name: shape for shape in reversed(shape_classes()) for name in shape.PARAMETERS}
+    found: dict[str, type[Shape]] = {}
+    for shape in shape_classes():
+        for name in shape.PARAMETERS:
+            found.setdefault(name, shape)
+    return found
 
 
 def class_with(term: str) -> type[Shape]:

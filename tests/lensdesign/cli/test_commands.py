@@ -283,7 +283,7 @@ def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_p
     code, out, _ = command("drawing", paper_design, "-o", sheet)
     assert (code, out) == (0, f"wrote {sheet}: 1 sheet\n")
     assert sheet.read_text(encoding="utf-8").startswith("<?xml")
-    assert_refused(command("drawing", paper_design, "-o", tmp_path / "sheet.dxf"), ".pdf or .svg")
+    assert_refused(command("drawing", paper_design, "-o", tmp_path / "sheet.dwg"), ".dxf")
     own = tmp_path / "sheet.toml"
     own.write_text('number = "TL-001"\n[[tolerances]]\nthickness_mm = 0.05\n')
     assert command("drawing", paper_design, "-o", sheet, "--sheet", own)[0] == 0
