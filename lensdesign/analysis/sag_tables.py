@@ -102,7 +102,7 @@ def sag_table(lens: Lens, surface: int, spacing_mm: float) -> SagTable:
         raise InputError(
             f"surface {surface + 1} has no semi_diameter_mm; give it one, at which the table ends"
         )
-    r = _radial_heights(semi, spacing_mm)
+    r = radial_heights_mm(semi, spacing_mm)
     nodes, weights = np.polynomial.legendre.leggauss(256)
     at = 0.5 * semi * (nodes + 1.0)
     sag, slope, _ = _symmetric(own, r)
@@ -157,7 +157,14 @@ def write_sag_table(table: SagTable, path: str | os.PathLike[str]) -> None:
             writer.writerow([*(repr(float(value)) for value in row), radius])
 
 
-def _radial_heights(semi_mm: float, spacing_mm: float) -> Array:
+def radial_heights_mm(semi_mm: float, spacing_mm: float) -> Array:
+    """Return the radial heights of a table: multiples of a spacing, and the semi-diameter.
+
+    Raises
+    ------
+    InputError
+        If the spacing is not above 0, or results in too many rows.
+    """
     validate_positive("spacing_mm", spacing_mm)
     most_rows = 1_000_000
     if semi_mm / spacing_mm > most_rows:

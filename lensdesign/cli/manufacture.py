@@ -18,7 +18,7 @@ from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.outputs import output_file
-from lensdesign.common.text import finite_or_none, visible
+from lensdesign.common.text import alternatives, finite_or_none, visible
 from lensdesign.errors import InputError
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
 from lensdesign.manufacture.exports import ExportOptions, export_kinds, export_lens
@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from lensdesign.manufacture.drawing.primitives import Drawing
     from lensdesign.manufacture.step.writing import StepReport
 
-*_FIRST, _LAST = (f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
-LENS_FILES = f"{', '.join(_FIRST)} or {_LAST}"
+LENS_FILES = alternatives(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
 
 
 def export(
@@ -183,9 +182,9 @@ def drawing(
     from lensdesign.manufacture.drawing.assumed import load_tolerances
     from lensdesign.manufacture.drawing.sheets import DRAWING_SUFFIXES, DrawingOptions, drawing_as_stated
 
-    if output.suffix.lower() not in (*DRAWING_SUFFIXES, *STEP_SUFFIXES):
-        *first, last = (*DRAWING_SUFFIXES, *STEP_SUFFIXES)
-        raise InputError(f"cannot write {output}: the name must end in {', '.join(first)} or {last}")
+    suffixes = (*DRAWING_SUFFIXES, *STEP_SUFFIXES)
+    if output.suffix.lower() not in suffixes:
+        raise InputError(f"cannot write {output}: the name must end in {alternatives(suffixes)}")
     in_use = {"the design itself": design, "the drawing": output, "the study": tolerances, "the sheet": sheet}
     for written in (as_drawn, study_as_drawn):
         for role, path in in_use.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -51,6 +52,12 @@ def visible(text: str) -> str:
     most_characters = 2000
     kept = text if len(text) <= most_characters else text[: most_characters - 3] + "..."
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in kept)
+
+
+def alternatives(words: Iterable[str]) -> str:
+    """Return words as alternatives: "a, b or c"."""
+    *first, last = words
+    return f"{', '.join(first)} or {last}" if first else last
 
 
 def duration_text(seconds: float) -> str:

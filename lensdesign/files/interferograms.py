@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy import ndimage
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.input_files import TABLE_BYTES, check_input
@@ -162,8 +161,8 @@ def figure_map(interferogram: Interferogram, side: Side, *, keep_power: bool = F
     semi_mm = min(float(missing.min(initial=np.inf)) - spacing, float(x[-1]), float(y[-1]))
     if semi_mm < 0.5 * FEWEST_POINTS * spacing:
         raise InputError(
-            f"{_holes(sag)} in the middle of the map: every point within some distance of the middle of the "
-            f"measured area must be measured, over at least {FEWEST_POINTS} points"
+            "areas without data in the middle of the map: every point within some distance of the middle "
+            f"of the measured area must be measured, over at least {FEWEST_POINTS} points"
         )
     across, down = (np.broadcast_to(one, sag.shape) for one in (x, y[:, None]))
     terms = np.stack([np.ones(sag.shape), across, down, radial_height**2], axis=-1)
@@ -182,9 +181,3 @@ def figure_map(interferogram: Interferogram, side: Side, *, keep_power: bool = F
         float(np.ptp(within)),
         float(np.std(within)),
     )
-
-
-def _holes(values: Array) -> str:
-    """Return how many areas of a map were not measured, in words."""
-    count = int(ndimage.label(~np.isfinite(values))[1])
-    return f"{count} area{'' if count == 1 else 's'} without data"

@@ -50,7 +50,7 @@ from lensdesign.files.draft import (
     read_note,
     read_vignetting,
 )
-from lensdesign.files.zemax_configurations import text_of_configuration
+from lensdesign.files.zemax_configurations import SOLVES, text_of_configuration
 from lensdesign.lens.glass import get_material, glass_summary
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
@@ -352,8 +352,6 @@ def read_record(reader: FileReader, word: str, values: list[str], location: str,
     line = location.rpartition(", ")[2]
     # Keywords that start the part behind the last surface: tolerances, configurations, the merit function.
     tail_starts = ("TOL", "TOLE", "MNUM", "MOFF")
-    # Solves and pickups. The file also holds their present values.
-    solves = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
     if word in _OF_FILE:
         _OF_FILE[word](reader, values, location)
     elif surface is not None and word in _OF_SURFACE:
@@ -366,7 +364,7 @@ def read_record(reader: FileReader, word: str, values: list[str], location: str,
         return
     elif surface is None:
         reader.draft.add_loss(f"{word} {quoted(' '.join(values))} ({line})")
-    elif word in solves and not reader.in_trailing_block:
+    elif word in SOLVES and not reader.in_trailing_block:
         reader.draft.add_remark(f"{surface.name}: {word} solve or pickup replaced by its present value")
     elif reader.in_trailing_block or not indented:
         reader.trailing_records.append(f"{surface.name}: {word} {quoted(' '.join(values))}")

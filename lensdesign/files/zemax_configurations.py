@@ -14,7 +14,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.draft import quoted
 
 SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
-"""Solves and pickups of a surface, whose present values are those of the configuration in the surfaces."""
+"""Solves and pickups of a surface. The file also holds their values for the configuration in the surfaces."""
 
 RECORDS = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI"}
 """Record of a surface that an operand sets: its distance, curvature or conic constant."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.analysis.outline import DrawnOutline, drawn_outline
+from lensdesign.common.text import alternatives
 from lensdesign.errors import InputError
 from lensdesign.files.formats import WRITTEN_LENS_FORMATS, write_lens_file
 from lensdesign.lens.solid import glass_elements
@@ -132,19 +133,13 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
 def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
     from lensdesign.manufacture.step.writing import write_step
 
-    if options.measured:
-        raise InputError(
-            f"cannot write {path} with --measured: solids have nominal surfaces; write a mesh instead"
-        )
-    outline = drawn_outline(lens)
+    outline = _nominal_outline(lens, path, options, "solids")
     found = write_step(outline.lens, path, warn=options.warn, statement="; ".join(outline.statements))
     values = {
         "file": str(path),
         "bytes": found.bytes,
         "solids": [asdict(body) for body in found.bodies],
-        "surfaces_without_their_figure": _surfaces_with_figure(lens),
-        "outline": list(outline.statements),
-        "ground_diameters_mm": _diameters(outline),
+        **_nominal_values(lens, outline),
     }
     sentence = (
         f"{found.solids} {'solid' if found.solids == 1 else 'solids'}, read back within "
@@ -157,26 +152,38 @@ def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
 def _outline(lens: Lens, path: Path, options: ExportOptions) -> Exported:
     from lensdesign.manufacture.dxf.outline import write_outline
 
-    if options.measured:
-        raise InputError(
-            f"cannot write {path} with --measured: outlines have nominal surfaces; write a mesh instead"
-        )
-    outline = drawn_outline(lens)
+    outline = _nominal_outline(lens, path, options, "outlines")
     found = write_outline(outline.lens, path, warn=options.warn, statement="; ".join(outline.statements))
     values = {
         "file": str(path),
         "bytes": found.bytes,
         "elements": found.elements,
         "curves": [asdict(curve) for curve in found.curves],
-        "surfaces_without_their_figure": _surfaces_with_figure(lens),
-        "outline": list(outline.statements),
-        "ground_diameters_mm": _diameters(outline),
+        **_nominal_values(lens, outline),
     }
     sentence = (
         f"section of {found.elements} {'element' if found.elements == 1 else 'elements'}, read back within "
         f"{1e6 * found.largest_deviation_mm:.2g} nm of the true surface"
     )
     return Exported(sentence, values, outline.statements)
+
+
+def _nominal_outline(lens: Lens, path: Path, options: ExportOptions, what: str) -> DrawnOutline:
+    """Return the outline for a file with nominal surfaces; refuse the request for measured ones."""
+    if options.measured:
+        raise InputError(
+            f"cannot write {path} with --measured: {what} have nominal surfaces; write a mesh instead"
+        )
+    return drawn_outline(lens)
+
+
+def _nominal_values(lens: Lens, outline: DrawnOutline) -> dict[str, Any]:
+    """Return what all files with nominal surfaces state."""
+    return {
+        "surfaces_without_their_figure": _surfaces_with_figure(lens),
+        "outline": list(outline.statements),
+        "ground_diameters_mm": _diameters(outline),
+    }
 
 
 def _lens_file(lens: Lens, path: Path, _options: ExportOptions) -> Exported:
@@ -219,5 +226,4 @@ def export_kinds() -> str:
     kinds: dict[str, list[str]] = {}
     for suffix, export_format in EXPORT_FORMATS.items():
         kinds.setdefault(export_format.kind, []).append(suffix)
-    *first, last = (f"{kind} ({', '.join(suffixes)})" for kind, suffixes in kinds.items())
-    return f"{', '.join(first)} or {last}"
+    return alternatives(f"{kind} ({', '.join(suffixes)})" for kind, suffixes in kinds.items())

@@ -57,7 +57,7 @@ def for_blocks(
 
 
 def _in_threads(work: Callable[[], None], threads: int) -> None:
-    """Call a function that does what is left in several threads, among them this one."""
+    """Call a function in this thread and in others; each call takes blocks until none remain."""
     if threading.current_thread().name.startswith(_KEPT):  # a thread must not wait for others of its own pool
         work()
         return

@@ -6,9 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-import numpy as np
-
-from lensdesign.analysis.sag_tables import SagTable, sag_table
+from lensdesign.analysis.sag_tables import SagTable, radial_heights_mm, sag_table
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import DrawnTerms
 from lensdesign.lens.surface import Surface
@@ -141,8 +139,7 @@ def _spacing(semi_mm: float) -> float:
 
 def _sags_along_x_and_y(surface: Surface, spacing_mm: float, area: Area, top: float) -> list[Item]:
     """Draw the sags of a biconic along its two axes, and the meaning of the orientation mark."""
-    semi = surface.semi_diameter_mm or 0.0
-    heights = np.append(np.arange(0.0, semi * (1.0 - 1e-9), spacing_mm), semi)
+    heights = radial_heights_mm(surface.semi_diameter_mm or 0.0, spacing_mm)
     along_x, along_y = surface.shape.sag(heights, 0.0 * heights), surface.shape.sag(0.0 * heights, heights)
     rows = [(f"{h:.5g}", f"{x:z.6f}", f"{y:z.6f}") for h, x, y in zip(heights, along_x, along_y, strict=True)]
     note = "▼ on the edge: orientation mark at +y; section x = 0"

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.frozen_model import FrozenModel
+from lensdesign.common.text import alternatives
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, closed_elements
@@ -150,7 +151,7 @@ def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
 
     suffix = Path(path).suffix.lower()
     if suffix not in DRAWING_SUFFIXES:
-        raise InputError(f"cannot write {path}: the name must end in .pdf, .svg or .dxf")
+        raise InputError(f"cannot write {path}: the name must end in {alternatives(DRAWING_SUFFIXES)}")
     with atomic_path(path) as temporary:
         dict(zip(DRAWING_SUFFIXES, (write_pdf, write_svg, write_dxf), strict=True))[suffix](
             drawing, temporary

@@ -105,7 +105,7 @@ def check(stated: SemanticTolerances, found: SemanticTolerances) -> None:
 
 
 def assert_close(found: Sequence[float | None], stated: Sequence[float | None]) -> None:
-    """Compare numbers to the 13 digits of a file; None stands for no tolerance."""
+    """Compare numbers to the 13 digits of a file; None means no tolerance."""
     assert [value is None for value in found] == [value is None for value in stated]
     assert [value or 0.0 for value in found] == pytest.approx([value or 0.0 for value in stated], rel=1e-11)
 
