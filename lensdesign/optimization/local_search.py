@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -234,11 +235,16 @@ def _solve(
 ) -> Outcome:
     """Return the best lens for one working set of rays; an infeasible start is first made feasible."""
 
+    # Each algorithm begins at the last point of another, which is also tested for convergence.
+    @lru_cache(maxsize=32)
+    def evaluated(point: bytes) -> Evaluation:
+        return problem.evaluate(np.frombuffer(point), rays, final=only_feasible)
+
     def evaluate(point: Array) -> Evaluation:
-        return problem.evaluate(point, rays)
+        return evaluated(point.tobytes())
 
     def restore(point: Array) -> Evaluation:
-        return _constraints_alone(problem.evaluate(point, rays, final=only_feasible))
+        return _constraints_alone(evaluated(point.tobytes()))
 
     def run(function: Callable[[Array], Evaluation], point: Array, algorithm: str, most: int) -> Outcome:
         found = minimize(

@@ -25,7 +25,7 @@ from lensdesign.optimization.specification.variables import VariableRange
 from lensdesign.optimization.specification_check import at_temperatures
 from lensdesign.optimization.temperature_derivatives import HeatedLens, TemperatureChange
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
-from lensdesign.raytrace.gradients import GradientTrace, Variable, gradient_trace
+from lensdesign.raytrace.gradients import GradientTrace, Variable, at_wavelengths, gradient_traces
 
 
 @dataclass(frozen=True)
@@ -149,12 +149,12 @@ class DesignProblem:
         return rays if self.rotational else rays.all_round()
 
     @cached_property
-    def compiled(self) -> tuple[CompiledSystem, ...]:
-        """Compiled base lens at each wavelength."""
+    def compiled(self) -> CompiledSystem:
+        """Compiled base lens at all wavelengths."""
         base = (
             self.base if self.temperature_change is None else self.temperature_change.with_glasses(self.base)
         )
-        return tuple(compile_system(base, w) for w in base.wavelengths_um)
+        return at_wavelengths([compile_system(base, w) for w in base.wavelengths_um])
 
     def to_unit(self, lens: Lens) -> Array:
         """Return the point of the unit box that is nearest to a lens."""
@@ -220,7 +220,7 @@ class DesignProblem:
             lens,
             self.variables if derivatives else (),
             rays.fields_mm,
-            tuple(self._trace(point, base, rays, derivatives) for base in self.compiled),
+            self._traces(point, self.compiled, rays, derivatives),
             self.as_built(point, derivatives),
             None if change is None else change.temperature_c,
             None if change is None else change.expansion_factors,
@@ -235,17 +235,19 @@ class DesignProblem:
 
         With None, the planes are those of the sensor, which move with the temperature.
         """
-        return self._trace(point, self.compiled[wavelength], rays, derivatives, planes_mm)
+        index = self.compiled.index[wavelength : wavelength + 1]
+        base = replace(self.compiled, trials=None, index=index)
+        return self._traces(point, base, rays, derivatives, planes_mm)[0]
 
-    def _trace(
+    def _traces(
         self,
         point: Array,
         base: CompiledSystem,
         rays: Rays,
         derivatives: bool,
         planes_mm: Array | None = None,
-    ) -> GradientTrace:
-        """Trace rays to some planes, or to those of the sensor."""
+    ) -> tuple[GradientTrace, ...]:
+        """Trace rays at the wavelengths of a system to some planes, or to those of the sensor."""
         check_time()
         lens, chain_rule = self.lens_at(point), None
         stop = self.base.stop_semi_diameter_mm if self.specification.optimize.stop == "fixed" else None
@@ -258,7 +260,7 @@ class DesignProblem:
                 chain_rule = (
                     hot.chain_rule if planes_mm is None else hot.chain_rule.with_fixed_planes(len(planes_mm))
                 )
-        return gradient_trace(
+        return gradient_traces(
             _shaped(base, lens),
             lens.object_z_mm,
             np.array(lens.sensor.plane_distances_mm) if planes_mm is None else planes_mm,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.optimization.operands.operand import Operand
+from lensdesign.optimization.operands.requirements import goal_operands, ray_constraint_operands
 from lensdesign.optimization.problem import DesignProblem, Rays
 
 
@@ -99,6 +100,7 @@ def _rotated(height: Array, along: Array, angle_rad: Array) -> Array:
 
 
 def _operands(problem: DesignProblem, point: Array, rays: Rays) -> list[Operand]:
-    """Return all goals and constraints without derivatives."""
-    goals, constraints = problem.rows(point, rays, derivatives=False)
-    return [*goals, *constraints]
+    """Return goals, and constraints on rays, without derivatives."""
+    state = problem.state(point, rays, derivatives=False)
+    goals = goal_operands(problem.specification, state)
+    return [*goals, *ray_constraint_operands(problem.specification, state)]

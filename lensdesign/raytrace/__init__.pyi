@@ -1,7 +1,7 @@
 from .bundles import PupilSamples, launch, launch_compiled, pupil_fan, pupil_hexapolar, pupil_rings
 from .compiled import CompiledSystem, compile_system
 from .ghosts import ghost_system
-from .gradients import GradientTrace, gradient_trace
+from .gradients import GradientTrace, at_wavelengths, gradient_traces
 from .paths import ray_paths, sized_lens
 from .rays import RayTrace, trace, trace_compiled
 from .status import Status
@@ -12,9 +12,10 @@ __all__ = [
     "PupilSamples",
     "RayTrace",
     "Status",
+    "at_wavelengths",
     "compile_system",
     "ghost_system",
-    "gradient_trace",
+    "gradient_traces",
     "launch",
     "launch_compiled",
     "pupil_fan",

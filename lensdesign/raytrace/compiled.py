@@ -81,8 +81,9 @@ class CompiledSystem:
         """Packed shapes and figures for the ray kernel, with None for those that no surface needs."""
         codes, starts, terms = self.packed_shapes
         if np.any(codes):
-            added = padded_count(terms.shape[-1]) - terms.shape[-1]
-            terms = np.pad(terms, ((0, 0), (0, 0), (0, added)))
+            own, count = terms, terms.shape[-1]
+            terms = np.zeros((*own.shape[:-1], padded_count(count)))
+            terms[..., :count] = own
         if not any(self.figures):
             return codes if np.any(codes) else None, starts, terms, None
         packed = packed_surface_figures(self.figures)

@@ -41,6 +41,7 @@ def gradient_kernel(
     For n rays, s surfaces, p planes and v variables, the kernel fills `values` (n, s + 1 + p, 2) with x and y
     on every surface, then the direction cosines behind the lens, then x and y on every plane. It fills
     `derivatives` (n, s + 1 + p, 2, v) with their derivatives. Planes move with the last vertex.
+    `index` has one row for each wavelength; the rays are those of one wavelength after the other.
     Variable j is described by kind[j], surface_of[j] (a surface) and term[j] (a term of its shape).
     `codes` is None if all surfaces are conics; other shapes are then not compiled.
 
@@ -48,16 +49,20 @@ def gradient_kernel(
     the variables, shape (3, v).
     """
     rays, variables, surfaces = origins.shape[0], kind.shape[0], vertex.shape[0]
+    rays_per_wavelength = rays // index.shape[0]
+    p, d = np.empty(3), np.empty(3)
     dp = np.empty((3, variables))
     dd = np.empty((3, variables))
     for i in range(rays):
-        p = origins[i].copy()
-        d = directions[i].copy()
+        p[:], d[:] = origins[i], directions[i]
+        own_index = index[i // rays_per_wavelength]
         _launch(p, d, dp, dd, kind)
         status[i] = OK
         failed[i] = -1
         for s in range(surfaces):
-            outcome = _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, surface_of, term, s)
+            outcome = _surface(
+                p, d, dp, dd, vertex, codes, starts, terms, own_index, kind, surface_of, term, s
+            )
             if outcome != OK:
                 status[i] = outcome
                 failed[i] = s

@@ -12,7 +12,7 @@ from lensdesign.analysis.outline import highest_ground_mm
 from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import Shape, directions
 from lensdesign.lens.solid import SHARP
-from lensdesign.optimization.operands.operand import Operand, State, finite_operand, heights_of
+from lensdesign.optimization.operands.operand import Operand, State, finite_operand
 from lensdesign.optimization.specification.specification import Specification
 
 SEMI_DIAMETER_STEP_MM = 0.01
@@ -188,12 +188,13 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
     for one in state.all:
         factor = 1.0 if one.expansion_factors is None else float(one.expansion_factors[i])
         for trace in one.traces:
-            squares, by = heights_of(trace, i)
-            squares = np.where(trace.ok, squares, 0.0)
+            x, y = trace.heights[:, i, 0], trace.heights[:, i, 1]
+            squares = np.where(trace.ok, x * x + y * y, 0.0)
             worst = int(np.argmax(squares))
             height = math.sqrt(squares[worst])
             if height and height / factor + SEMI_DIAMETER_STEP_MM > best[0]:
-                best = (height / factor + SEMI_DIAMETER_STEP_MM, by[worst] / (2.0 * height * factor))
+                by = trace.heights[worst, i] @ trace.heights_by[worst, i]
+                best = (height / factor + SEMI_DIAMETER_STEP_MM, by / (height * factor))
     return best
 
 

@@ -73,6 +73,12 @@ def constraint_operands(specification: Specification, state: State, final: bool 
 
     If the goal minimizes the limited spread itself, the spread limit applies to the `final` lens only.
     """
+    built = [row for one in state.all for row in _as_built_rows(specification, one)]
+    return ray_constraint_operands(specification, state, final) + glass_operands(specification, state) + built
+
+
+def ray_constraint_operands(specification: Specification, state: State, final: bool = False) -> list[Operand]:
+    """Return the constraints on single rays, which are the first of :func:`constraint_operands`."""
     limited = final or not _limits_its_goal(specification)
     rows = [row for one in state.all for row in _light_rows(specification, one, limited)]
     most = specification.constraints.max_semi_diameter_mm
@@ -80,8 +86,7 @@ def constraint_operands(specification: Specification, state: State, final: bool 
         for i in range(len(specification.surfaces)) if most is not None else ():
             name = _named(f"semi-diameter of surface {i + 1}", wavelength, state)
             rows.append(_limited(name, heights_of(trace, i), float(most or 0.0) ** 2, trace))
-    built = [row for one in state.all for row in _as_built_rows(specification, one)]
-    return rows + glass_operands(specification, state) + built
+    return rows
 
 
 def _light_rows(specification: Specification, state: State, limited: bool) -> list[Operand]:
@@ -211,8 +216,10 @@ def _throughput_rows(
 
 
 def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Operand:
-    values = np.where(trace.ok, squares[0] / scale, UNTRACEABLE)
-    by = np.where(trace.ok[:, None], squares[1] / scale, 0.0)
+    values, by = squares[0] / scale, squares[1] / scale
+    if not trace.ok.all():
+        values = np.where(trace.ok, values, UNTRACEABLE)
+        by = np.where(trace.ok[:, None], by, 0.0)
     return Operand(name, values, by, np.arange(len(values)))
 
 

@@ -24,7 +24,7 @@ from lensdesign.files.surface_figures import (
 from lensdesign.lens.surface_figure import surface_figure_from_zernike
 from lensdesign.optimization.specification.specification import load_specification
 from lensdesign.raytrace.compiled import compile_system
-from lensdesign.raytrace.gradients import gradient_trace
+from lensdesign.raytrace.gradients import gradient_traces
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -249,9 +249,9 @@ def test_specifications_and_derivatives_refuse_figures(tmp_path: Path) -> None:
     with pytest.raises(DesignError, match=r"surface 1: .*figure"):
         load_specification(path)
     with pytest.raises(InputError, match="remove the measured figures"):
-        gradient_trace(
+        gradient_traces(
             compile_system(lens, 0.532), -13.5, np.array([2.0]), 0, 4.0, 0.25, *np.zeros((2, 1, 2)), ()
-        )
+        )[0]
 
 
 def test_zernike_figures_need_no_file(tmp_path: Path) -> None:

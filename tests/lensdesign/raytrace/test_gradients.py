@@ -12,7 +12,13 @@ from reference_trace import trace_numpy
 
 import lensdesign
 from lensdesign.raytrace.compiled import compile_system
-from lensdesign.raytrace.gradients import Variable, _differentiate, gradient_trace
+from lensdesign.raytrace.gradients import (
+    Variable,
+    _differentiate,
+    _traced_variables,
+    at_wavelengths,
+    gradient_traces,
+)
 
 PLANES = np.array([2.0, 22.0])
 STEP = 1e-30
@@ -133,7 +139,7 @@ def assert_derivatives(lens, variables, seed):
     system = compile_system(lens, 0.532)
     fields, pupil = np.repeat(rng.uniform(-1, 1, (2, 2)), 6, axis=0), rng.uniform(-0.7, 0.7, (12, 2))
     semi = lens.stop_semi_diameter_mm
-    got = gradient_trace(system, lens.object_z_mm, PLANES, 0, semi, 0.35, fields, pupil, variables)
+    got = gradient_traces(system, lens.object_z_mm, PLANES, 0, semi, 0.35, fields, pupil, variables)[0]
     assert got.ok.all()
     for j, variable in enumerate(variables):
         want = complex_step(lens, system, fields, pupil, variable, semi)
@@ -152,13 +158,15 @@ def test_launch_derivatives_equal_complex_step(lens):
     system = compile_system(lens, 0.532)
     direction = np.array([[0.1, -0.2, np.sqrt(1.0 - 0.05)]])
     origin = np.array([[0.3, 0.1, lens.object_z_mm]])
-    raw = _differentiate(system, origin, direction, PLANES, ())
+    raw = _differentiate(system, origin, direction, PLANES, _traced_variables(system, ()))
     for axis in range(2):
         turned = direction.astype(complex)
         turned[0, axis] += 1j * STEP
         turned[0, 2] = np.sqrt(1.0 - turned[0, 0] ** 2 - turned[0, 1] ** 2)
         *_, hits = trace_numpy(system, origin.astype(complex), turned, None, clip=False)
-        np.testing.assert_allclose(raw.heights_by[0, :, :, axis], hits[0, :, :2].imag / STEP, atol=1e-10)
+        np.testing.assert_allclose(
+            raw.derivatives[0, : system.surfaces, :, axis], hits[0, :, :2].imag / STEP, atol=1e-10
+        )
 
 
 def differences(function, system, object_z, variable, step=1e-6):
@@ -185,9 +193,9 @@ def test_rays_keep_their_stop_point_wherever_the_stop_is(lens, stop, semi):
     some = tuple(v for v in VARIABLES if not v.kind.startswith("asphere"))
 
     def cosines(system, z, points=fields):
-        return gradient_trace(system, z, PLANES, stop, semi, 0.35, points, pupil, some).cosines
+        return gradient_traces(system, z, PLANES, stop, semi, 0.35, points, pupil, some)[0].cosines
 
-    got = gradient_trace(system, lens.object_z_mm, PLANES, stop, semi, 0.35, fields, pupil, some)
+    got = gradient_traces(system, lens.object_z_mm, PLANES, stop, semi, 0.35, fields, pupil, some)[0]
     expected_stop = got.stop_semi_diameter_mm * pupil
     np.testing.assert_allclose(got.heights[:, stop], expected_stop, atol=1e-9)
     for j, variable in enumerate(some):
@@ -202,7 +210,7 @@ def test_rays_keep_their_stop_point_wherever_the_stop_is(lens, stop, semi):
 
 
 def test_stop_of_the_numerical_aperture_is_the_axial_rim_ray(lens):
-    got = gradient_trace(
+    got = gradient_traces(
         compile_system(lens, 0.532),
         -12.0,
         PLANES,
@@ -212,7 +220,7 @@ def test_stop_of_the_numerical_aperture_is_the_axial_rim_ray(lens):
         np.zeros((1, 2)),
         np.array([[0.0, 1.0]]),
         (),
-    )
+    )[0]
     height = got.stop_semi_diameter_mm
     rise = float(lens.surfaces[0].sag_mm(height))
     assert height / np.hypot(height, 12.0 + rise) == pytest.approx(0.35, abs=1e-12)
@@ -221,14 +229,43 @@ def test_stop_of_the_numerical_aperture_is_the_axial_rim_ray(lens):
 def test_rays_that_fail_are_marked(lens):
     system = compile_system(lens, 0.532)
     pupil = np.array([[0.0, 0.0], [0.0, 30.0]])
-    got = gradient_trace(system, -12.0, PLANES, 0, 1.3, 0.35, np.zeros((2, 2)), pupil, VARIABLES)
+    got = gradient_traces(system, -12.0, PLANES, 0, 1.3, 0.35, np.zeros((2, 2)), pupil, VARIABLES)[0]
     assert got.ok.tolist() == [True, False]
     assert np.all(np.isfinite(got.cosines_by))
 
 
 def test_a_rim_ray_that_misses_marks_every_ray(lens):
     system = compile_system(lens, 0.532)
-    got = gradient_trace(
+    got = gradient_traces(
         system, -12.0, PLANES, 3, None, 0.9999, np.zeros((1, 2)), np.array([[0.0, 0.1]]), VARIABLES
-    )
+    )[0]
     assert not got.ok.any()
+
+
+@pytest.mark.parametrize("semi", [5.0, None], ids=["fixed stop", "stop follows the aperture"])
+@pytest.mark.parametrize("stop", [0, 3])
+def test_wavelengths_together_and_without_derivatives_are_those_one_by_one(lens, stop, semi):
+    rng = np.random.default_rng(6)
+    fields, pupil = rng.uniform(-0.8, 0.8, (40, 2)), rng.uniform(-0.7, 0.7, (40, 2))
+    systems = [compile_system(lens, w) for w in (0.465, 0.532, 0.63)]
+    rest = (lens.object_z_mm, PLANES, stop, semi, 0.35, fields, pupil)
+    together = gradient_traces(at_wavelengths(systems), *rest, VARIABLES)
+    bare = gradient_traces(at_wavelengths(systems), *rest, ())
+    for system, one, fast in zip(systems, together, bare, strict=True):
+        (alone,) = gradient_traces(system, *rest, VARIABLES)
+        assert alone.ok.all()
+        for name, value in vars(alone).items():
+            np.testing.assert_allclose(getattr(one, name), value, rtol=0, atol=1e-13, err_msg=name)
+            if "_by" in name:
+                assert getattr(fast, name).shape == (*value.shape[:-1], 0)
+            else:
+                np.testing.assert_allclose(getattr(fast, name), value, rtol=0, atol=1e-11, err_msg=name)
+
+
+def test_stop_points_beyond_the_edge_of_their_surface_are_marked_without_derivatives(lens):
+    system = replace(compile_system(lens, 0.532), trials=None)
+    far = 2.0 * lens.surfaces[0].shape.edge_radius_mm
+    assert np.isfinite(far)
+    pupil = np.array([[0.0, 0.0], [0.0, far]])
+    (got,) = gradient_traces(system, -12.0, PLANES, 0, 1.0, 0.35, np.zeros((2, 2)), pupil, ())
+    assert got.ok.tolist() == [True, False]

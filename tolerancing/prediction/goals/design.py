@@ -267,7 +267,7 @@ class TracedRays:
                 plane = plane + 1j * STEP * design.problem.planes_by(design.point, moved)[0]
         origins = np.column_stack([self.rays.fields_mm, np.full(len(heights), object_z)])
         arrivals = np.column_stack([ends, np.full(len(heights), vertices[-1] + plane)])
-        index = design.problem.compiled[design.wavelength].index[0]
+        index = design.problem.compiled.index[design.wavelength]
         return Paths(tuple(shapes), vertices, index, origins, heights, arrivals)
 
 

@@ -33,7 +33,7 @@ from lensdesign.manufacture.mesh.mesh import lens_mesh
 from lensdesign.plots.layout import layout_figure
 from lensdesign.plots.scene import scene_parts
 from lensdesign.raytrace.compiled import compile_system
-from lensdesign.raytrace.gradients import Variable, gradient_trace
+from lensdesign.raytrace.gradients import Variable, gradient_traces
 
 X, Y = (part.ravel() for part in np.meshgrid(np.linspace(-4.0, 4.0, 9), np.linspace(-4.0, 4.0, 9)))
 
@@ -131,7 +131,7 @@ def test_derivatives_of_rays_equal_complex_steps_to_1e_9(lens: Lens) -> None:
     fields, pupil = rng.uniform(-1.0, 1.0, (30, 2)), rng.uniform(-0.6, 0.6, (30, 2))
     variables = tuple(Variable(term, 1) for term in ("curvature", "conic", "curvature_x", "conic_x"))
     semi = lens.stop_semi_diameter_mm
-    got = gradient_trace(system, -13.5, np.array([5.0]), 0, semi, 0.5, fields, pupil, variables)
+    got = gradient_traces(system, -13.5, np.array([5.0]), 0, semi, 0.5, fields, pupil, variables)[0]
     assert got.ok.all()
     origins = np.column_stack([fields, np.full(30, -13.5)]).astype(complex)
     target = np.column_stack([semi * pupil, system.sag(0, *(semi * pupil).T)])

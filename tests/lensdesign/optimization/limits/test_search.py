@@ -56,7 +56,7 @@ def test_an_interrupt_leaves_what_was_found(monkeypatch: pytest.MonkeyPatch) -> 
 
 def counted(monkeypatch: pytest.MonkeyPatch, stop_at: int | None = None) -> list[float]:
     """Have each trace of rays take a second; raise an interrupt at one of them."""
-    time, trace = [0.0], DesignProblem._trace
+    time, trace = [0.0], DesignProblem._traces
 
     def counting(self: DesignProblem, *arguments: Any) -> Any:
         time[0] += 1.0
@@ -64,6 +64,6 @@ def counted(monkeypatch: pytest.MonkeyPatch, stop_at: int | None = None) -> list
             raise KeyboardInterrupt
         return trace(self, *arguments)
 
-    monkeypatch.setattr(DesignProblem, "_trace", counting)
+    monkeypatch.setattr(DesignProblem, "_traces", counting)
     monkeypatch.setattr(deadlines, "clock", lambda: time[0])
     return time

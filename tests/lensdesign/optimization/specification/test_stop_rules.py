@@ -25,7 +25,7 @@ STOPPED = """
 import os, sys
 from lensdesign.optimization.problem import DesignProblem
 
-trace, count = DesignProblem._trace, [0]
+trace, count = DesignProblem._traces, [0]
 
 
 def counting(self, *arguments):
@@ -35,7 +35,7 @@ def counting(self, *arguments):
     return trace(self, *arguments)
 
 
-DesignProblem._trace = counting
+DesignProblem._traces = counting
 sys.argv = ["lensdesign", *{arguments}]
 from lensdesign.cli.commands import main
 
@@ -103,7 +103,7 @@ def test_the_best_lens_is_no_worse_than_the_best_reported(
         lines.append(line)
         seen[0] += 1
 
-    trace = DesignProblem._trace
+    trace = DesignProblem._traces
 
     def interrupted(self: DesignProblem, *arguments: Any) -> Any:
         if seen[0] >= number:
@@ -111,7 +111,7 @@ def test_the_best_lens_is_no_worse_than_the_best_reported(
             raise KeyboardInterrupt
         return trace(self, *arguments)
 
-    monkeypatch.setattr(DesignProblem, "_trace", interrupted)
+    monkeypatch.setattr(DesignProblem, "_traces", interrupted)
     time = iter(range(10**9))
     monkeypatch.setattr(deadlines, "clock", lambda: float(next(time)))
     with pytest.raises(SearchInterrupted) as stop:
@@ -129,13 +129,13 @@ def test_the_best_lens_is_no_worse_than_the_best_reported(
 @pytest.mark.parametrize("limit", [300.0, 3000.0])
 def test_a_time_limit_is_kept_within_a_tenth(monkeypatch: pytest.MonkeyPatch, limit: float) -> None:
     """Time is counted in traces, and the check of the result takes a twentieth of it."""
-    time, trace = [0.0], DesignProblem._trace
+    time, trace = [0.0], DesignProblem._traces
 
     def counting(self: DesignProblem, *arguments: Any) -> Any:
         time[0] += 1.0
         return trace(self, *arguments)
 
-    monkeypatch.setattr(DesignProblem, "_trace", counting)
+    monkeypatch.setattr(DesignProblem, "_traces", counting)
     monkeypatch.setattr(deadlines, "clock", lambda: time[0])
     asked = load_specification(SPEC)
     limits = asked.constraints.replaced(max_lens_thickness_mm=7.0)  # which cannot be met
@@ -163,9 +163,9 @@ def test_trials_that_do_not_fit_are_left_out_and_count_as_missed(monkeypatch: py
         time[0] += 0.1
         return trace(self, *arguments)
 
-    trace = DesignProblem._trace
+    trace = DesignProblem._traces
     monkeypatch.setattr(type(asked.as_built), "trials", slow)
-    monkeypatch.setattr(DesignProblem, "_trace", ended)
+    monkeypatch.setattr(DesignProblem, "_traces", ended)
     found = optimize(asked)
     assert max(made) == 20
     assert time[0] <= 33.0
