@@ -21,7 +21,7 @@ from benchmarks.timing import DESIGNS, Row, interleaved, print_table
 from benchmarks.trace_speed import PLANE_DISTANCE_MM, random_rays
 from lensdesign import load_design, trace
 from lensdesign.lens.shapes.even_asphere import EvenAsphere
-from lensdesign.lens.shapes.registry import formula_classes, padded_count
+from lensdesign.lens.shapes.registry import Formulas, formula_classes, needed_formulas, padded_count
 from lensdesign.raytrace.conic_kernel import BLOCK, through_conic
 from lensdesign.raytrace.shape_kernel import through_shape
 
@@ -72,10 +72,12 @@ def conics(ray: Any, after: Any, work: Any, repeats: int) -> None:
 
 
 @_jit
-def aspheres(ray: Any, after: Any, work: Any, terms: Any, code: int, repeats: int) -> None:
+def aspheres(
+    ray: Any, after: Any, work: Any, terms: Any, formulas: Formulas, code: int, repeats: int
+) -> None:
     """The kernel's own steps through an even asphere on one block in the first cache."""
     for _ in range(repeats):
-        through_shape(code, ray, after, work, 0.1, 0.05, -0.5, terms, 1.0, 1.0 / 1.5, 64.0, BLOCK)
+        through_shape(formulas, code, ray, after, work, 0.1, 0.05, -0.5, terms, 1.0, 1.0 / 1.5, 64.0, BLOCK)
 
 
 def main() -> None:
@@ -96,6 +98,7 @@ def main() -> None:
     terms = np.zeros(padded_count(4))
     terms[:4] = 0.05, -0.5, 1e-5, 1e-7
     code = formula_classes().index(EvenAsphere)
+    formulas = needed_formulas(bytes([code]), len(terms))
 
     def copy() -> None:
         for target, source in zip(copies, (origins, directions), strict=True):
@@ -108,7 +111,7 @@ def main() -> None:
         "copy": copy,
         "conic": partial(conics, ray, np.empty(7 * BLOCK), np.empty(3 * BLOCK), REPEATS),
         "asphere": partial(
-            aspheres, ray, np.empty(7 * BLOCK), np.empty(3 * BLOCK), terms, code, REPEATS // 4
+            aspheres, ray, np.empty(7 * BLOCK), np.empty(3 * BLOCK), terms, formulas, code, REPEATS // 4
         ),
         "roots": partial(roots, a, b, REPEATS),
         "quotients": partial(quotients, a, b, REPEATS),

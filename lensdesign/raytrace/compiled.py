@@ -16,7 +16,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation, Value, trial_count
 from lensdesign.lens.shapes.base import Shape, term_of
 from lensdesign.lens.shapes.intersection import SagError, sag_and_slopes
-from lensdesign.lens.shapes.registry import code_of, padded_count
+from lensdesign.lens.shapes.registry import Formulas, code_of, needed_formulas, padded_count
 from lensdesign.lens.surface import Surface
 from lensdesign.lens.surface_figure import SurfaceFigure, packed_surface_figures
 
@@ -77,17 +77,29 @@ class CompiledSystem:
         return np.array([code_of(shape) for shape in shapes], np.int8), starts, terms
 
     @cached_property
-    def for_kernel(self) -> tuple[NDArray[np.int8] | None, Array, Array, tuple[NDArray, ...] | None]:
-        """Packed shapes and figures for the ray kernel, with None for those that no surface needs."""
+    def for_kernel(
+        self,
+    ) -> tuple[NDArray[np.int8] | None, Formulas, Array, Array, tuple[NDArray, ...] | None]:
+        """Packed shapes, with the formulas that they need, and figures for the ray kernel.
+
+        Codes and figures are None if no surface needs them.
+        """
         codes, starts, terms = self.packed_shapes
         if np.any(codes):
             own, count = terms, terms.shape[-1]
             terms = np.zeros((*own.shape[:-1], padded_count(count)))
             terms[..., :count] = own
+        formulas = needed_formulas(codes.tobytes(), terms.shape[-1])
         if not any(self.figures):
-            return codes if np.any(codes) else None, starts, terms, None
+            return codes if np.any(codes) else None, formulas, starts, terms, None
         packed = packed_surface_figures(self.figures)
-        return codes, starts, terms, (packed.first, packed.layout, packed.per_mm, packed.coefficients)
+        return (
+            codes,
+            formulas,
+            starts,
+            terms,
+            (packed.first, packed.layout, packed.per_mm, packed.coefficients),
+        )
 
     @property
     def rotational(self) -> bool:

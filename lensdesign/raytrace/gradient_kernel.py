@@ -24,6 +24,7 @@ def gradient_kernel(
     directions,
     vertex,
     codes,
+    formulas,
     starts,
     terms,
     index,
@@ -61,7 +62,7 @@ def gradient_kernel(
         failed[i] = -1
         for s in range(surfaces):
             outcome = _surface(
-                p, d, dp, dd, vertex, codes, starts, terms, own_index, kind, surface_of, term, s
+                p, d, dp, dd, vertex, codes, formulas, starts, terms, own_index, kind, surface_of, term, s
             )
             if outcome != OK:
                 status[i] = outcome
@@ -108,7 +109,7 @@ def _vertex_motion(kind, surface_of, s):
 
 
 @_jit
-def _hit(p, d, codes, s, start, terms):
+def _hit(p, d, codes, formulas, s, start, terms):
     """Return the distance from p (in the surface's frame) to surface s, and the status of the ray."""
     t, hit = conic_distance(p[0], p[1], p[2], d[0], d[1], d[2], start[0], start[1])
     if not hit:
@@ -117,40 +118,40 @@ def _hit(p, d, codes, s, start, terms):
         return t, OK
     if codes[s] == CONIC:
         return t, OK
-    return newton(p[0], p[1], p[2], d[0], d[1], d[2], t, codes[s], terms)
+    return newton(p[0], p[1], p[2], d[0], d[1], d[2], t, formulas, codes[s], terms)
 
 
 @_jit
-def _slopes_and_hessian(codes, s, terms, x, y):
+def _slopes_and_hessian(codes, formulas, s, terms, x, y):
     """Return the slopes of surface s along x and y, and its second derivatives xx, xy and yy."""
     if codes is None:
         _, by_x, by_y = shapes.conic_sag_and_gradient(terms, x, y)
         xx, xy, yy = shapes.conic_sag_hessian(terms, x, y)
     else:
-        _, by_x, by_y = shapes.sag_and_gradient(codes[s], terms, x, y)
-        xx, xy, yy = shapes.sag_hessian(codes[s], terms, x, y)
+        _, by_x, by_y = shapes.sag_and_gradient(formulas, codes[s], terms, x, y)
+        xx, xy, yy = shapes.sag_hessian(formulas, codes[s], terms, x, y)
     return by_x, by_y, xx, xy, yy
 
 
 @_jit
-def _term_derivatives(codes, s, terms, j, x, y):
+def _term_derivatives(codes, formulas, s, terms, j, x, y):
     """Return the derivatives of sag and slopes of surface s with respect to term j."""
     if codes is None:
         return shapes.conic_term_derivatives(terms, j, x, y)
-    return shapes.term_derivatives(codes[s], terms, j, x, y)
+    return shapes.term_derivatives(formulas, codes[s], terms, j, x, y)
 
 
 @_jit
-def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, surface_of, term, s):
+def _surface(p, d, dp, dd, vertex, codes, formulas, starts, terms, index, kind, surface_of, term, s):
     """Propagate a ray and its derivatives to surface s and refract them."""
     own = terms[s]
     p[2] -= vertex[s]
-    t, outcome = _hit(p, d, codes, s, starts[s], own)
+    t, outcome = _hit(p, d, codes, formulas, s, starts[s], own)
     if outcome != OK:
         return outcome
     for a in range(3):
         p[a] += t * d[a]
-    by_x, by_y, sag_xx, sag_xy, sag_yy = _slopes_and_hessian(codes, s, own, p[0], p[1])
+    by_x, by_y, sag_xx, sag_xy, sag_yy = _slopes_and_hessian(codes, formulas, s, own, p[0], p[1])
     nx, ny = -by_x, -by_y
     along = d[2] + nx * d[0] + ny * d[1]
     m2 = 1.0 + nx * nx + ny * ny
@@ -167,7 +168,7 @@ def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, surface_of
     for j in range(kind.shape[0]):
         sag_j, by_x_j, by_y_j = 0.0, 0.0, 0.0
         if surface_of[j] == s and kind[j] == SHAPE:
-            sag_j, by_x_j, by_y_j = _term_derivatives(codes, s, own, term[j], p[0], p[1])
+            sag_j, by_x_j, by_y_j = _term_derivatives(codes, formulas, s, own, term[j], p[0], p[1])
         px = dp[0, j] + t * dd[0, j]
         py = dp[1, j] + t * dd[1, j]
         pz = dp[2, j] + t * dd[2, j] - _vertex_motion(kind[j], surface_of[j], s)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from lensdesign.lens.shapes.registry import needed_formulas
 from lensdesign.raytrace.bundles import launch_pairs
 from lensdesign.raytrace.compiled import CompiledSystem
 from lensdesign.raytrace.rays import trace_compiled
@@ -352,6 +353,7 @@ def _differentiate(
         np.ascontiguousarray(directions),
         np.ascontiguousarray(system.vertex[0, :, 2]),
         codes if np.any(codes) else None,
+        needed_formulas(codes.tobytes(), 0),
         starts[0],
         terms[0],
         system.index,

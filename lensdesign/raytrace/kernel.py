@@ -53,6 +53,7 @@ def trace_kernel(
     rotation,
     vertex,
     codes,
+    formulas,
     starts,
     terms,
     figures,
@@ -79,10 +80,11 @@ def trace_kernel(
 
     `codes`, `starts` and `terms` come from :class:`lensdesign.raytrace.compiled.CompiledSystem`. `figures`
     are the arrays of :class:`lensdesign.lens.surface_figure.PackedSurfaceFigures`, in which these trials
-    begin at `first_trial`. `figures` is None without figures, and `codes` is None if all surfaces are conics;
-    code that a lens does not need is then not compiled. The six arrays from `position` on are filled for the
-    rays from `first_ray` up to `end_ray`. `hits` may have no rays and is then not filled. Returns the number
-    of rays whose origin is not finite or whose direction is not a finite unit vector.
+    begin at `first_trial`. `figures` is None without figures, `codes` is None if all surfaces are conics, and
+    the type of `formulas` names the formulas that a lens needs: other code is not compiled. The six arrays
+    from `position` on are filled for the rays from `first_ray` up to `end_ray`. `hits` may have no rays and
+    is then not filled. Returns the number of rays whose origin is not finite or whose direction is not a
+    finite unit vector.
     """
     trials, surfaces = status.shape[0], vertex.shape[1]
     ray, after = np.empty(7 * BLOCK), np.empty(7 * BLOCK)
@@ -121,11 +123,11 @@ def trace_kernel(
                         )
                 else:
                     code, own, trial = codes[s], terms[ts, s], first_trial + t
-                    if _has_figure(figures, s) or not is_vectorized(code, own):
+                    if _has_figure(figures, s) or not is_vectorized(formulas, code):
                         uncertain, work[:count] = count, -1.0
                     else:
                         uncertain = through_shape(
-                            code, ray, after, work, z0, c, k, own, n1, n1 / n2, limit, count
+                            formulas, code, ray, after, work, z0, c, k, own, n1, n1 / n2, limit, count
                         )
                     if uncertain + failed_count > 0:
                         failed_count = _one_by_one(
@@ -135,6 +137,7 @@ def trace_kernel(
                             state,
                             s,
                             z0,
+                            formulas,
                             code,
                             c,
                             k,
@@ -284,9 +287,9 @@ def _sag_error(x, y, surface, figures, trial):
 
 
 @_inline
-def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
+def _sag_and_slopes(x, y, formulas, code, terms, surface, figures, trial):
     """Return the sag of a surface and its slopes along x and y, with its figure unless `figures` is None."""
-    sag, by_x, by_y = shapes.sag_and_gradient(code, terms, x, y)
+    sag, by_x, by_y = shapes.sag_and_gradient(formulas, code, terms, x, y)
     if figures is not None:
         error, error_x, error_y = _sag_error(x, y, surface, figures, trial)
         sag, by_x, by_y = sag + error, by_x + error_x, by_y + error_y
@@ -295,7 +298,7 @@ def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
 
 @_jit
 def _one_by_one(
-    ray, after, work, state, surface, z0, code, c, k, terms, n1, ratio, limit, count, figures, trial
+    ray, after, work, state, surface, z0, formulas, code, c, k, terms, n1, ratio, limit, count, figures, trial
 ):
     """Trace the rays of a block whose margin in `work` is not above 0, one by one, and put failed rays back.
 
@@ -309,7 +312,7 @@ def _one_by_one(
         outcome = MISSED
         t, hit = conic_distance(x, y, z, dx, dy, dz, c, k)
         if hit:
-            t, outcome = newton(x, y, z, dx, dy, dz, t, code, terms, surface, figures, trial)
+            t, outcome = newton(x, y, z, dx, dy, dz, t, formulas, code, terms, surface, figures, trial)
         if outcome == OK:
             x, y = x + t * dx, y + t * dy
             ray[X + i], ray[Y + i], ray[Z + i] = x, y, ray[Z + i] + t * dz
@@ -317,7 +320,7 @@ def _one_by_one(
             if x * x + y * y > limit:
                 outcome = CLIPPED
         if outcome == OK:
-            _, by_x, by_y = _sag_and_slopes(x, y, code, terms, surface, figures, trial)
+            _, by_x, by_y = _sag_and_slopes(x, y, formulas, code, terms, surface, figures, trial)
             norm = 1.0 / math.sqrt(1.0 + by_x * by_x + by_y * by_y)
             cos_in = (dz - by_x * dx - by_y * dy) * norm
             square = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
@@ -337,12 +340,12 @@ def _one_by_one(
 
 
 @_jit
-def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=0):
+def newton(x, y, z, dx, dy, dz, t, formulas, code, terms, surface=-1, figures=None, trial=0):
     """Return the distance of a ray to a surface from a first guess, and the status of the ray."""
     settled_before = False
     for _ in range(NEWTON_STEPS):
         px, py = x + t * dx, y + t * dy
-        sag, by_x, by_y = _sag_and_slopes(px, py, code, terms, surface, figures, trial)
+        sag, by_x, by_y = _sag_and_slopes(px, py, formulas, code, terms, surface, figures, trial)
         slope = dz - (by_x * dx + by_y * dy)
         residual = z + t * dz - sag
         step = residual / slope

@@ -224,7 +224,7 @@ def _run(
         else result.hits.reshape(trials, rays, system.surfaces, 3),
     ]
     launched, heading = (a.reshape(len(a), 3 * rays) for a in (origins, directions))
-    codes, starts, terms, figures = system.for_kernel
+    codes, formulas, starts, terms, figures = system.for_kernel
 
     def trace_block(block: tuple[slice, slice]) -> int:
         t, r = block
@@ -238,6 +238,7 @@ def _run(
             own(system.rotation),
             own(system.vertex),
             codes,
+            formulas,
             own(starts),
             own(terms),
             figures,

@@ -1,6 +1,6 @@
 """Steps of the ray kernel for shapes other than conics: blocks of rays in loops that the compiler vectorizes.
 
-:data:`through_shape` traces a block of rays through a surface as if no ray failed, like
+:func:`through_shape` traces a block of rays through a surface as if no ray failed, like
 :func:`lensdesign.raytrace.conic_kernel.through_conic`, whose arguments it has. Newton's method starts at a
 conic near the surface. All rays of a block take the same number of steps, mostly three, which is cheaper than
 a test of each ray. Rays that have not arrived then count as uncertain.
@@ -12,12 +12,15 @@ it can unroll the loop over terms. Shapes with fewer terms are padded with zeros
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 from numba import njit
+from numba.extending import overload
 
 from lensdesign.lens.shapes.base import FormulaShape
+from lensdesign.lens.shapes.compiled import lengths_of
 from lensdesign.lens.shapes.registry import FORMULAS, formula_classes
 from lensdesign.raytrace.conic_kernel import BLOCK, OPL, L, M, N, X, Y, Z, intersect_conic
 
@@ -95,9 +98,20 @@ def _through(shape: type[FormulaShape], count_of_terms: int) -> Any:
     return through
 
 
-def _dispatched(passages: Sequence[tuple[int, float, Any]]) -> Any:
-    """Return one function of a shape's code and terms, for passages of (code, most terms, function)."""
-    code, most_terms, own = passages[0]
+@cache
+def _passages(lengths: tuple[int, ...]) -> tuple[tuple[int, Any], ...]:
+    """Return code and compiled passage of the needed formulas whose sums are unrolled."""
+    classes, counts = formula_classes(), tuple(FORMULAS.values())
+    return tuple(
+        (code, _through(classes[code], length))
+        for code, length in enumerate(lengths, 1)
+        if length in counts[code]
+    )
+
+
+def _dispatched(passages: Sequence[tuple[int, Any]]) -> Any:
+    """Return one function of a shape's code for passages with their codes."""
+    code, own = passages[0]
     if len(passages) == 1:
         return _jit(
             lambda shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count: own(
@@ -108,35 +122,40 @@ def _dispatched(passages: Sequence[tuple[int, float, Any]]) -> Any:
 
     @_jit
     def chosen(shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count):
-        if shape == code and len(terms) <= most_terms:
+        if shape == code:
             return own(ray, after, work, z0, c, k, terms, n1, ratio, limit, count)
         return other(shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count)
 
     return chosen
 
 
-def _passages() -> Iterator[tuple[int, float, Any]]:
-    """Yield code, largest length of the array of terms, and passage of all shapes but the first, the conic.
+def through_shape(formulas, shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count):
+    """Trace a block of rays through a shape with the given code, see :func:`through_conic`.
 
-    Arrays of terms are padded, so that a shape with a few terms has no largest length.
+    It exists in compiled code only, for shapes of :func:`is_vectorized`.
     """
-    for code, (shape, counts) in enumerate(zip(formula_classes(), FORMULAS.values(), strict=True)):
-        for count in counts:
-            has_all_terms = count >= len(shape.TERMS)
-            yield code, math.inf if has_all_terms else float(count), _through(shape, count)
+    raise NotImplementedError("compiled code only")
 
 
-PASSAGES = tuple(_passages())
-MOST_TERMS = tuple(
-    max((most for code, most, _ in PASSAGES if code == own), default=0.0)
-    for own in range(len(formula_classes()))
-)
+@overload(through_shape)
+def _through_shape(formulas, shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count):
+    passages = _passages(lengths_of(formulas))
+    if not passages:
+        return lambda formulas, shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count: count
+    chosen = _dispatched(passages)
+    return lambda formulas, shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count: chosen(
+        shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count
+    )
 
-through_shape = _dispatched(PASSAGES)
-"""Passage of a block of rays through a shape that is not a conic, see :func:`through_conic`."""
+
+def is_vectorized(formulas, shape):
+    """Return whether :func:`through_shape` traces the shape with a code; it exists in compiled code only."""
+    raise NotImplementedError("compiled code only")
 
 
-@_jit
-def is_vectorized(code, terms):
-    """Return whether :data:`through_shape` traces a shape with so many terms."""
-    return len(terms) <= MOST_TERMS[code]
+@overload(is_vectorized)
+def _is_vectorized(formulas, shape):
+    codes = tuple(code for code, _ in _passages(lengths_of(formulas)))
+    if not codes:
+        return lambda formulas, shape: False
+    return lambda formulas, shape: shape in codes

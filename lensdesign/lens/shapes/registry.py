@@ -38,6 +38,12 @@ TERM_COUNTS = (8, 12)
 """Numbers of terms to which arrays of terms are padded."""
 
 
+Formulas = tuple[tuple[None, ...], ...]
+"""For each formula but the first, a tuple as long as the sums of terms that are compiled for it; empty if the
+formula is not needed, or its sums are not unrolled. Numba compiles a kernel for each type of its arguments,
+and the lengths of tuples belong to their type."""
+
+
 def padded_count(terms: int) -> int:
     """Return the number of terms to which arrays of terms are padded for compiled tracing."""
     return next((count for count in TERM_COUNTS if count >= terms), terms)
@@ -70,6 +76,25 @@ def _loaded(name: str) -> Any:
 def code_of(shape: FormulaShape) -> int:
     """Return the code of a formula in compiled ray tracing."""
     return formula_classes().index(type(shape))
+
+
+@cache
+def unrolled_count(code: int, terms: int) -> int:
+    """Return for how many terms sums of a formula are unrolled if arrays of terms have a given length.
+
+    The result is 0 if the formula has more terms than are unrolled.
+    """
+    counts, most = tuple(FORMULAS.values())[code], len(formula_classes()[code].TERMS)
+    return next((count for count in counts if count >= min(terms, most)), 0)
+
+
+@cache
+def needed_formulas(codes: bytes, terms: int) -> Formulas:
+    """Return the formulas that a kernel needs, for the codes of all surfaces and their number of terms."""
+    return tuple(
+        (None,) * max(1, unrolled_count(code, terms)) if code in codes else ()
+        for code in range(1, len(FORMULAS))
+    )
 
 
 @cache

@@ -117,13 +117,20 @@ def test_the_radius_of_a_plane_cannot_change(paper_lens: Lens) -> None:
 
 
 def test_the_kernel_gets_only_what_the_surfaces_need(paper_lens: Lens) -> None:
-    codes, _, _, figures = compile_system(paper_lens, 0.532).for_kernel
+    codes, formulas, _, _, figures = compile_system(paper_lens, 0.532).for_kernel
     assert codes is None
     assert figures is None
+    assert not any(formulas)
     figure = surface_figure_from_zernike({5: 1.0}, 30.0)
     changed = {1: SurfacePerturbation(figure=figure)}
-    codes, _, _, figures = compile_system(paper_lens, 0.532, surface_perturbations=changed).for_kernel
+    codes, formulas, _, _, figures = compile_system(
+        paper_lens, 0.532, surface_perturbations=changed
+    ).for_kernel
     assert codes is not None
     assert not codes.any()
     assert figures is not None
     assert figures[0].tolist() == [0, 0, 1]
+    assert not any(formulas)
+    asphere = paper_lens.with_surface(1, asphere=(1e-5,))
+    _, formulas, _, _, _ = compile_system(asphere, 0.532).for_kernel
+    assert [len(formula) for formula in formulas if formula] == [8]

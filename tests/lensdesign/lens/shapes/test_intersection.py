@@ -10,7 +10,7 @@ import pytest
 from lensdesign.lens.shapes.conic import Conic
 from lensdesign.lens.shapes.even_asphere import EvenAsphere
 from lensdesign.lens.shapes.intersection import intersect
-from lensdesign.lens.shapes.registry import code_of
+from lensdesign.lens.shapes.registry import code_of, needed_formulas
 from lensdesign.raytrace.conic_kernel import conic_distance
 from lensdesign.raytrace.kernel import newton
 from lensdesign.raytrace.status import Status
@@ -60,6 +60,8 @@ def test_a_ray_that_grazes_a_distant_asphere_reaches_it() -> None:
     x, y, z = np.array(origin) + distance[0] * np.array(direction)
     assert z == pytest.approx(shape.sag_and_slopes(x, y)[0], abs=1e-10)
     start, _ = conic_distance(*origin, *direction, *terms[:2])
-    compiled, status = newton(*origin, *direction, start, code_of(shape), terms)
+    code = code_of(shape)
+    formulas = needed_formulas(bytes([code]), len(terms))
+    compiled, status = newton(*origin, *direction, start, formulas, code, terms)
     assert status == Status.OK
     assert compiled == pytest.approx(distance[0], abs=1e-9)

@@ -36,6 +36,7 @@ from lensdesign.lens.shapes.registry import (
     class_with,
     code_of,
     formula_classes,
+    needed_formulas,
     parameters,
     shape_class,
 )
@@ -209,6 +210,19 @@ def test_a_shape_is_known_by_its_name_its_number_and_its_terms(name: str) -> Non
 def test_the_code_of_a_formula_is_its_position_and_the_conic_is_the_first() -> None:
     assert [code_of(formula(np.zeros(2))) for formula in formula_classes()] == list(range(len(FORMULAS)))
     assert formula_classes()[0] is Conic
+
+
+def test_a_kernel_gets_the_formulas_of_its_surfaces_with_the_number_of_unrolled_terms() -> None:
+    for code, (shape, counts) in enumerate(zip(formula_classes(), FORMULAS.values(), strict=True)):
+        for terms in (2, 8, 12, 40):
+            lengths = [len(formula) for formula in needed_formulas(bytes([0, code]), terms)]
+            assert [number for number, length in enumerate(lengths, 1) if length] == [code] * (code > 0)
+            if code and terms <= max(counts):
+                assert lengths[code - 1] == min(
+                    count for count in counts if count >= min(terms, len(shape.TERMS))
+                )
+            elif code and len(shape.TERMS) > max(counts):
+                assert lengths[code - 1] not in counts
 
 
 def test_many_copies_lie_along_a_leading_axis(paper_lens: Lens) -> None:
