@@ -1,10 +1,9 @@
 """How far the ray trace is from what this processor can do: its divider, its other arithmetic, its memory.
 
 A conic takes two square roots, two quotients and 54 additions and products. An even asphere takes the
-intersection with a conic, three steps of Newton's method with six coefficients (shorter sums are padded), and
-a refraction. What bounds a ray's arithmetic is the longer of the divider's time and that of all else, each
-measured here on numbers in the first cache. A ray brings 48 bytes and leaves 59: bounded by a copy of as many
-bytes. All in one thread.
+intersection with a conic, three steps of Newton's method with two coefficients, and a refraction. What bounds
+a ray's arithmetic is the longer of the divider's time and that of all else, each measured here on numbers in
+the first cache. A ray brings 48 bytes and leaves 59: bounded by a copy of as many bytes. All in one thread.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from lensdesign.raytrace.shape_kernel import through_shape
 
 RAYS, REPEATS, ROUNDS, RUNS = 1_000_000, 4000, 7, 3
 CONIC = {"roots": 2, "quotients": 2, "others": 54}
-EVEN_ASPHERE = {"roots": 1 + 3 + 1, "quotients": 1 + 3 * 3 + 1, "others": 25 + 3 * 52 + 40}
+EVEN_ASPHERE = {"roots": 1 + 3 + 1, "quotients": 1 + 3 + 1, "others": 25 + 3 * 45 + 40}
 PLANE = {"roots": 0, "quotients": 1, "others": 9}
 """Operations at each."""
 OTHERS = 39

@@ -28,7 +28,8 @@ _jit = njit(nogil=True, error_model="numpy")
 _inline = njit(nogil=True, error_model="numpy", inline="always")
 
 FIRST_STEPS, MOST_STEPS = 2, 8
-"""Newton steps before the first test whether rays have arrived, and after which the test is final."""
+"""Newton steps before the first test whether rays have arrived (for surfaces of revolution), and after which
+the test is final."""
 
 ARRIVED = 3e-13
 """Last step, over 1 mm plus the distance, up to which a ray has arrived: the normal, which is that before the
@@ -45,7 +46,9 @@ def _first(count: int) -> Any:
 
 def _through(shape: type[FormulaShape], count_of_terms: int) -> Any:
     """Return the compiled passage of a block through a shape with a number of terms."""
-    first, sag_and_gradient = _first(count_of_terms), _inline(shape.sag_and_gradient)
+    # The conic at which the steps start is farther from a surface that is not one of revolution.
+    first_steps = FIRST_STEPS if shape.ROTATIONAL else FIRST_STEPS + 1
+    first, residual_and_normal = _first(count_of_terms), _inline(shape.residual_and_normal)
 
     @_jit
     def through(ray, after, work, z0, c, k, own, n1, ratio, limit, count):
@@ -55,28 +58,32 @@ def _through(shape: type[FormulaShape], count_of_terms: int) -> Any:
             t, _ = intersect_conic(ray[X + i], ray[Y + i], z, ray[L + i], ray[M + i], dz, c, k)
             # A ray that starts behind the conic's edge fails, and is traced alone.
             work[BLOCK + i] = t if 1.0 - (1.0 + k) * c * (z + t * dz) > 0.0 else math.nan
-        for _ in range(FIRST_STEPS):
+        for _ in range(first_steps):
             for i in range(count):
                 t, dx, dy, dz = work[BLOCK + i], ray[L + i], ray[M + i], ray[N + i]
-                sag, by_x, by_y = sag_and_gradient(terms, ray[X + i] + t * dx, ray[Y + i] + t * dy)
-                residual = ray[Z + i] - z0 + t * dz - sag
-                work[BLOCK + i] = t - residual / (dz - (by_x * dx + by_y * dy))
+                top, bottom, nx, ny, nz = residual_and_normal(
+                    terms, ray[X + i] + t * dx, ray[Y + i] + t * dy, ray[Z + i] - z0 + t * dz
+                )
+                work[BLOCK + i] = t - top / (bottom * (nx * dx + ny * dy + nz * dz))
         uncertain = 0
-        for _ in range(FIRST_STEPS, MOST_STEPS):
+        for _ in range(first_steps, MOST_STEPS):
             unsettled = uncertain = 0
             for i in range(count):
                 before, dx, dy, dz = work[BLOCK + i], ray[L + i], ray[M + i], ray[N + i]
-                sag, by_x, by_y = sag_and_gradient(terms, ray[X + i] + before * dx, ray[Y + i] + before * dy)
-                along = dz - (by_x * dx + by_y * dy)
-                step = (ray[Z + i] - z0 + before * dz - sag) / along
+                top, bottom, nx, ny, nz = residual_and_normal(
+                    terms, ray[X + i] + before * dx, ray[Y + i] + before * dy, ray[Z + i] - z0 + before * dz
+                )
+                along = nx * dx + ny * dy + nz * dz
+                step = top / (bottom * along)
                 t = before - step
                 x, y = ray[X + i] + t * dx, ray[Y + i] + t * dy
-                normal2 = 1.0 + by_x * by_x + by_y * by_y
+                normal2 = nx * nx + ny * ny + nz * nz
                 square_out = normal2 * (1.0 - ratio * ratio) + ratio * ratio * along * along
                 gain = (math.sqrt(square_out) - ratio * along) / normal2
                 error = abs(step) - ARRIVED * (1.0 + abs(t))
                 within = limit - (x * x + y * y)
                 least = along if along < within else within
+                least = least if least < nz else nz
                 least = least if least < -error else -error
                 least = least if least < square_out else square_out  # NaN is chosen, too
                 unsettled += 1 if error > 0.0 else 0
@@ -88,9 +95,9 @@ def _through(shape: type[FormulaShape], count_of_terms: int) -> Any:
                 after[Y + i] = y
                 after[Z + i] = ray[Z + i] + t * dz
                 after[OPL + i] = ray[OPL + i] + n1 * t
-                after[L + i] = ratio * dx - gain * by_x
-                after[M + i] = ratio * dy - gain * by_y
-                after[N + i] = ratio * dz + gain
+                after[L + i] = ratio * dx + gain * nx
+                after[M + i] = ratio * dy + gain * ny
+                after[N + i] = ratio * dz + gain * nz
             if unsettled == 0:
                 break
         return uncertain

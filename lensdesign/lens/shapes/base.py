@@ -22,6 +22,7 @@ from lensdesign.errors import InputError
 
 Array = NDArray[Any]
 Point = tuple[Any, Any, Any]
+Residual = tuple[Any, Any, Any, Any, Any]
 
 COEFFICIENTS = {
     "asphere": tuple(f"asphere_{order}" for order in range(4, 44, 2)),
@@ -264,6 +265,21 @@ class FormulaShape(Shape):
     @abstractmethod
     def term_derivatives(terms: Any, j: int, x: Any, y: Any) -> Point:
         """Return the derivatives of the three values of `sag_and_gradient` with respect to term j."""
+
+    @staticmethod
+    @abstractmethod
+    def residual_and_normal(terms: Any, x: Any, y: Any, z: Any) -> Residual:
+        """Return z minus the sag at (x, y), and a normal of the surface there, for a step of Newton's method.
+
+        Compiled tracing uses this form of the sag and its slopes, which takes fewer quotients.
+
+        Returns
+        -------
+        top, bottom
+            Numerator and denominator of the residual z - sag, multiplied by the z of the normal.
+        nx, ny, nz
+            Normal: -nx / nz and -ny / nz are the slopes along x and y. Its length is arbitrary.
+        """
 
     @staticmethod
     def start(terms: Any) -> tuple[Any, Any]:

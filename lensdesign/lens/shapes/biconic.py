@@ -14,7 +14,15 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import DrawnTerms, FormulaShape, Point, Section, curvature_of, radius_of
+from lensdesign.lens.shapes.base import (
+    DrawnTerms,
+    FormulaShape,
+    Point,
+    Residual,
+    Section,
+    curvature_of,
+    radius_of,
+)
 from lensdesign.lens.shapes.conic import Conic
 
 
@@ -43,6 +51,21 @@ class Biconic(FormulaShape):
             top * over,
             (2.0 * over + (1.0 + kx) * cx * factor) * cx * x,
             (2.0 * over + (1.0 + ky) * cy * factor) * cy * y,
+        )
+
+    @staticmethod
+    def residual_and_normal(terms: Any, x: Any, y: Any, z: Any) -> Residual:
+        cy, ky, cx, kx = terms[0], terms[1], terms[2], terms[3]
+        qx, qy = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
+        root = np.sqrt(1.0 - qx * x * x - qy * y * y)
+        more, top = 1.0 + root, cx * x * x + cy * y * y
+        both = root * more
+        return (
+            (z * more - top) * both,
+            1.0,
+            -(2.0 * cx * both + qx * top) * x,
+            -(2.0 * cy * both + qy * top) * y,
+            both * more,
         )
 
     @staticmethod

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.shapes.base import DrawnTerms, FormulaShape, Point, curvature_of
+from lensdesign.lens.shapes.base import DrawnTerms, FormulaShape, Point, Residual, curvature_of
 
 
 class Conic(FormulaShape):
@@ -35,6 +35,14 @@ class Conic(FormulaShape):
         root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
         slope = c / root
         return c * r2 / (1.0 + root), slope * x, slope * y
+
+    @staticmethod
+    def residual_and_normal(terms: Any, x: Any, y: Any, z: Any) -> Residual:
+        c, q = terms[0], 1.0 + terms[1]
+        r2 = x * x + y * y
+        root = np.sqrt(1.0 - q * c * c * r2)
+        level = z - 0.5 * c * (r2 + q * z * z)
+        return 2.0 * level * root, 1.0 - q * c * z + root, -c * x, -c * y, root
 
     @staticmethod
     def sag_hessian(terms: Any, x: Any, y: Any) -> Point:

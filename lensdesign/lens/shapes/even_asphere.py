@@ -14,7 +14,14 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.lens.shapes.base import COEFFICIENTS, DrawnTerms, Point, curvature_of, with_coefficient
+from lensdesign.lens.shapes.base import (
+    COEFFICIENTS,
+    DrawnTerms,
+    Point,
+    Residual,
+    curvature_of,
+    with_coefficient,
+)
 from lensdesign.lens.shapes.conic import Conic
 
 ORDERS = COEFFICIENTS["asphere"]
@@ -52,6 +59,22 @@ class EvenAsphere(Conic):
             power = power * r2
             sag = sag + terms[j] * power
         return sag, 2.0 * gradient * x, 2.0 * gradient * y
+
+    @staticmethod
+    def residual_and_normal(terms: Any, x: Any, y: Any, z: Any) -> Residual:
+        # Below the departure lies a conic.
+        c, q = terms[0], 1.0 + terms[1]
+        r2 = x * x + y * y
+        root = np.sqrt(1.0 - q * c * c * r2)
+        departure, by_r2, power = 0.0 * r2, 0.0 * r2, r2
+        for j in range(2, len(terms)):
+            by_r2 = by_r2 + j * terms[j] * power
+            power = power * r2
+            departure = departure + terms[j] * power
+        height = z - departure
+        level = height - 0.5 * c * (r2 + q * height * height)
+        across = -(c + 2.0 * by_r2 * root)
+        return 2.0 * level * root, 1.0 - q * c * height + root, across * x, across * y, root
 
     @staticmethod
     def sag_hessian(terms: Any, x: Any, y: Any) -> Point:

@@ -19,6 +19,7 @@ from lensdesign.lens.shapes.base import (
     DrawnTerms,
     FormulaShape,
     Point,
+    Residual,
     curvature_of,
     with_coefficient,
 )
@@ -58,6 +59,22 @@ class OddAsphere(Conic):
             power = power * r
             sag = sag + terms[j] * power * r
         return sag, gradient * x, gradient * y
+
+    @staticmethod
+    def residual_and_normal(terms: Any, x: Any, y: Any, z: Any) -> Residual:
+        # Below the departure lies a conic.
+        c, q = terms[0], 1.0 + terms[1]
+        r2 = x * x + y * y
+        root, r = np.sqrt(1.0 - q * c * c * r2), np.sqrt(r2)
+        departure, slope_by_r, power = 0.0 * r, 0.0 * r, r
+        for j in range(2, len(terms)):
+            slope_by_r = slope_by_r + (j + 1.0) * terms[j] * power
+            power = power * r
+            departure = departure + terms[j] * power * r
+        height = z - departure
+        level = height - 0.5 * c * (r2 + q * height * height)
+        across = -(c + slope_by_r * root)
+        return 2.0 * level * root, 1.0 - q * c * height + root, across * x, across * y, root
 
     @staticmethod
     def sag_hessian(terms: Any, x: Any, y: Any) -> Point:

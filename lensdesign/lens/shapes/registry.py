@@ -21,20 +21,20 @@ SHAPES = {
 
 FORMULAS: dict[str, tuple[int, ...]] = {
     "lensdesign.lens.shapes.conic:Conic": (),
-    "lensdesign.lens.shapes.even_asphere:EvenAsphere": (8, 12),
+    "lensdesign.lens.shapes.even_asphere:EvenAsphere": (4, 8, 12),
     "lensdesign.lens.shapes.biconic:Biconic": (4,),
-    "lensdesign.lens.shapes.sphere_departure:SphereDeparture": (8, 12),
-    "lensdesign.lens.shapes.odd_asphere:OddAsphere": (8,),
-    "lensdesign.lens.shapes.toroid:Toroid": (8,),
+    "lensdesign.lens.shapes.sphere_departure:SphereDeparture": (4, 8, 12),
+    "lensdesign.lens.shapes.odd_asphere:OddAsphere": (4, 8),
+    "lensdesign.lens.shapes.toroid:Toroid": (4, 8),
 }
 """Classes of the formulas, with the numbers of terms for which compiled tracing unrolls their sums.
 
 The position is the code of a formula in compiled tracing. Rays intersect the first one, the conic, in closed
 form. Rays through shapes with more terms are traced one by one, because the compiler does not unroll longer
-sums. Each number takes seconds to compile, so rare shapes have one.
+sums.
 """
 
-TERM_COUNTS = (8, 12)
+TERM_COUNTS = (4, 8, 12)
 """Numbers of terms to which arrays of terms are padded."""
 
 

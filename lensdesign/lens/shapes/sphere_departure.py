@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.lens.shapes.base import FormulaShape, Point
+from lensdesign.lens.shapes.base import FormulaShape, Point, Residual
 
 DEPARTURES = tuple(f"departure_{order}" for order in range(2, 24, 2))
 
@@ -47,6 +47,23 @@ class SphereDeparture(FormulaShape):
             total = total + terms[j] * power
         gradient = over * (c + 2.0 * by_r2 + c * c * total * over * over)
         return c * r2 * over / (1.0 + over) + total * over, gradient * x, gradient * y
+
+    @staticmethod
+    def residual_and_normal(terms: Any, x: Any, y: Any, z: Any) -> Residual:
+        # Below the departure lies a sphere.
+        c = terms[0]
+        r2 = x * x + y * y
+        square = 1.0 - c * c * r2
+        over2, root = 1.0 / square, np.sqrt(square)
+        total, by_r2, power = 0.0 * r2, 0.0 * r2, 1.0 + 0.0 * r2
+        for j in range(1, len(terms)):
+            by_r2 = by_r2 + j * terms[j] * power
+            power = power * r2
+            total = total + terms[j] * power
+        height = z - total * root * over2
+        level = height - 0.5 * c * (r2 + height * height)
+        across = -(c + 2.0 * by_r2 + c * c * total * over2)
+        return 2.0 * level * root, 1.0 - c * height + root, across * x, across * y, root
 
     @staticmethod
     def sag_hessian(terms: Any, x: Any, y: Any) -> Point:

@@ -18,6 +18,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import (
     FormulaShape,
     Point,
+    Residual,
     Section,
     curvature_of,
     radius_of,
@@ -65,6 +66,24 @@ class Toroid(FormulaShape):
         d, u = 1.0 - across * curve, across * x
         s = np.sqrt(d - u) * np.sqrt(d + u)  # not a number beyond the axis of rotation, too
         return curve + across * x * x / (d + s), across * x / s, 2.0 * slope * y * d / s
+
+    @staticmethod
+    def residual_and_normal(terms: Any, x: Any, y: Any, z: Any) -> Residual:
+        c, q, across = terms[0], 1.0 + terms[1], terms[2]
+        y2 = y * y
+        root = np.sqrt(1.0 - q * c * c * y2)
+        over = 1.0 / (root * (1.0 + root))
+        curve, slope = c * y2 * root * over, 0.5 * c * (1.0 + root) * over
+        power = y2
+        for j in range(3, len(terms)):
+            slope = slope + (j - 1) * terms[j] * power
+            power = power * y2
+            curve = curve + terms[j] * power
+        d, u = 1.0 - across * curve, across * x
+        s = np.sqrt(d * d - u * u)
+        s = s if d > 0.0 else -s
+        level = z - curve - 0.5 * across * (x * x + z * z - curve * curve)
+        return 2.0 * level * s, 1.0 - across * z + s, -u, -2.0 * slope * y * d, s
 
     @staticmethod
     def sag_hessian(terms: Any, x: Any, y: Any) -> Point:

@@ -212,6 +212,33 @@ def test_the_code_of_a_formula_is_its_position_and_the_conic_is_the_first() -> N
     assert formula_classes()[0] is Conic
 
 
+TERMS_OF_FORMULAS = {
+    "conic": (0.08, -0.6),
+    "even asphere": (-0.07, 0.4, 2e-4, -3e-6, 1e-8),
+    "odd asphere": (0.06, -0.5, 1e-4, 2e-5, -1e-6),
+    "biconic": (0.08, -0.3, -0.05, 0.6),
+    "toroid": (0.07, -0.4, 0.11, 1e-4, -2e-6),
+    "sphere with departure": (0.09, 2e-4, -1e-5, 3e-8),
+}
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    x=st.floats(-4.0, 4.0),
+    y=st.floats(-4.0, 4.0),
+    above=st.floats(-0.3, 0.3),
+    number=st.integers(0, len(FORMULAS) - 1),
+)
+def test_residual_and_normal_are_those_of_the_sag(x: float, y: float, above: float, number: int) -> None:
+    shape = formula_classes()[number]
+    terms = np.array(TERMS_OF_FORMULAS[shape.NAME])
+    sag, by_x, by_y = shape.sag_and_gradient(terms, x, y)
+    top, bottom, nx, ny, nz = shape.residual_and_normal(terms, x, y, sag + above)
+    assert top / (bottom * nz) == pytest.approx(above, rel=1e-11, abs=1e-14)
+    assert nx / nz == pytest.approx(-by_x, rel=1e-12, abs=1e-13)
+    assert ny / nz == pytest.approx(-by_y, rel=1e-12, abs=1e-13)
+
+
 def test_a_kernel_gets_the_formulas_of_its_surfaces_with_the_number_of_unrolled_terms() -> None:
     for code, (shape, counts) in enumerate(zip(formula_classes(), FORMULAS.values(), strict=True)):
         for terms in (2, 8, 12, 40):
