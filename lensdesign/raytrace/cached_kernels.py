@@ -21,6 +21,7 @@ from hashlib import sha256
 from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numba
 
@@ -43,15 +44,28 @@ def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         try:
-            return numba.njit(cache=True, **options)(function)
+            return _with_own_files(numba.njit(cache=True, **options)(function))
         except RuntimeError:  # none of Numba's cache folders can be written
             folder = _private_folder()
         if folder is None:
             return numba.njit(**options)(function)
         numba.config.CACHE_DIR = folder
-        return numba.njit(cache=True, **options)(function)
+        return _with_own_files(numba.njit(cache=True, **options)(function))
 
     return compiled
+
+
+def _with_own_files(kernel: Any) -> Any:
+    """Return a kernel that stores what it compiles in files with names that are not used twice.
+
+    Numba counts the files of a function, so that two processes that compile it at the same time for
+    different arguments may choose the same name. The index of one would then point to the code of the other.
+    """
+    cache_file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    if cache_file is not None:  # None if compilation is disabled
+        base = cache_file._index_name.removesuffix(".nbi")
+        cache_file._data_name = lambda number: f"{base}.{uuid4().hex}.nbc"
+    return kernel
 
 
 @cache
@@ -109,7 +123,7 @@ def drop_outdated(kernel: Any, modules: Iterable[str]) -> None:
     # A folder that cannot be written contains no cached kernels either.
     with suppress(OSError, InputError):
         folder.mkdir(parents=True, exist_ok=True)
-        for index in folder.glob(f"{module}.*.nbi"):
-            index.unlink(missing_ok=True)
+        for file in (*folder.glob(f"{module}.*.nbi"), *folder.glob(f"{module}.*.nbc")):
+            file.unlink(missing_ok=True)
         with atomic_path(record) as path:
             path.write_text(digest, encoding="utf-8")

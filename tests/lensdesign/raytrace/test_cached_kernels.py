@@ -63,6 +63,29 @@ def test_kernels_of_rays_are_kept_with_the_formulas_of_all_shapes() -> None:
     assert all(name in sys.modules for name in SOURCES)
 
 
+def test_processes_that_compile_at_the_same_time_do_not_mix_their_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    one, other = (cached_njit(nogil=True)(double)._cache._cache_file for _ in range(2))
+    one.save("first", "code of the first arguments")
+    # Another process reads the index before this one writes it, and stores its code before this one does.
+    read, save_index = other._load_index(), one._save_index
+
+    def interrupted(overloads: dict[str, str]) -> None:
+        save_index(overloads)
+        other.save("floats", "code of floats")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(other, "_load_index", lambda: dict(read))
+        patched.setattr(one, "_save_index", interrupted)
+        one.save("integers", "code of integers")
+    for cache in (one, other):
+        assert cache.load("first") == "code of the first arguments"
+        assert cache.load("floats") == "code of floats"
+        assert cache.load("integers") in (None, "code of integers")
+
+
 @pytest.fixture
 def nowhere(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Neither the modules' folders nor a home can be written: Numba uses the folder that it is given."""
