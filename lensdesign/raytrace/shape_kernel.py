@@ -50,7 +50,6 @@ def _through(shape: type[FormulaShape], count_of_terms: int) -> Any:
     first_steps = FIRST_STEPS if shape.ROTATIONAL else FIRST_STEPS + 1
     first, residual_and_normal = _first(count_of_terms), _inline(shape.residual_and_normal)
 
-    @_jit
     def through(ray, after, work, z0, c, k, own, n1, ratio, limit, count):
         terms = first(own)
         for i in range(count):
@@ -102,7 +101,7 @@ def _through(shape: type[FormulaShape], count_of_terms: int) -> Any:
                 break
         return uncertain
 
-    return through
+    return _named(through, f"through_{shape.__name__}_{count_of_terms}")
 
 
 @cache
@@ -116,24 +115,35 @@ def _passages(lengths: tuple[int, ...]) -> tuple[tuple[int, Any], ...]:
     )
 
 
+def _named(function: Any, name: str) -> Any:
+    """Return a function compiled under a name of its own.
+
+    Functions that are made in a call have equal names. Numba tells them apart by their number in the process
+    that compiles them, which another process gives to another function. If cached kernels of both are loaded
+    together, the linker takes the first function of a name for all.
+    """
+    function.__qualname__ = name
+    return _jit(function)
+
+
 def _dispatched(passages: Sequence[tuple[int, Any]]) -> Any:
     """Return one function of a shape's code for passages with their codes."""
     code, own = passages[0]
+    name = "chosen_" + "_".join(passage.py_func.__qualname__ for _, passage in passages)
     if len(passages) == 1:
-        return _jit(
-            lambda shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count: own(
-                ray, after, work, z0, c, k, terms, n1, ratio, limit, count
-            )
-        )
+
+        def only(shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count):
+            return own(ray, after, work, z0, c, k, terms, n1, ratio, limit, count)
+
+        return _named(only, name)
     other = _dispatched(passages[1:])
 
-    @_jit
     def chosen(shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count):
         if shape == code:
             return own(ray, after, work, z0, c, k, terms, n1, ratio, limit, count)
         return other(shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count)
 
-    return chosen
+    return _named(chosen, name)
 
 
 def through_shape(formulas, shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count):
