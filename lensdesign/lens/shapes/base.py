@@ -46,11 +46,14 @@ class DrawnTerms:
     fraction : tuple of str
         Numerator and denominator of the leading fraction; None for that of a conic with R and k, or of a
         plane.
+    definitions : tuple of (str, DrawnTerms)
+        Symbols in the formula that have a formula of their own, without constants.
     """
 
     formula: str = ""
     constants: tuple[tuple[str, float], ...] = ()
     fraction: tuple[str, str] | None = None
+    definitions: tuple[tuple[str, DrawnTerms], ...] = ()
 
 
 @dataclass(frozen=True)

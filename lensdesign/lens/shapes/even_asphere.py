@@ -138,11 +138,13 @@ class EvenAsphere(Conic):
         return super().scaled_keys(values, factor) | {"asphere": asphere}
 
 
-def drawn_powers(symbol: str, orders: Sequence[int], coefficients: Array) -> DrawnTerms:
-    """Return what a drawing states of powers of r, with a symbol for the coefficients."""
+def drawn_powers(
+    symbol: str, orders: Sequence[int], coefficients: Array, coordinate: str = "r"
+) -> DrawnTerms:
+    """Return what a drawing states of powers of a coordinate, with a symbol for the coefficients."""
     count = len(coefficients)
     shown = orders if count <= 2 else (orders[0], orders[-1])
-    words = [f"{symbol}_{order} r^{order}" for order in shown] if np.any(coefficients) else []
+    words = [f"{symbol}_{order} {coordinate}^{order}" for order in shown] if np.any(coefficients) else []
     constants = ((f"{symbol}_{n}", float(a)) for n, a in zip(orders, coefficients, strict=True))
     return DrawnTerms((" + … + " if count > 2 else " + ").join(words), tuple(constants))
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import (
+    DrawnTerms,
     FormulaShape,
     Point,
     Residual,
@@ -25,7 +26,13 @@ from lensdesign.lens.shapes.base import (
     with_coefficient,
 )
 from lensdesign.lens.shapes.conic import Conic
-from lensdesign.lens.shapes.even_asphere import ORDERS, EvenAsphere, without_zeros, written_coefficients
+from lensdesign.lens.shapes.even_asphere import (
+    ORDERS,
+    EvenAsphere,
+    drawn_powers,
+    without_zeros,
+    written_coefficients,
+)
 
 ZEMAX_TERMS = range(3, 9)
 """Zemax's numbers of the coefficients of y^4 to y^14. Number 2, of y^2, has no counterpart in a design."""
@@ -190,6 +197,20 @@ class Toroid(FormulaShape):
             return sag - 0.5 * paraboloid * r * r, by_x * across + by_y * down - paraboloid * r
 
         return Section(self.kind, paraboloid, -1.0, math.inf, departure)
+
+    def drawn(self) -> DrawnTerms:
+        c, k, across = map(float, self.terms[:3])
+        powers = drawn_powers("A", range(4, 2 * len(self.terms) - 2, 2), self.terms[3:], "y")
+        constants = [("Rx", 1.0 / across)] if across else []
+        constants += [("Ry", 1.0 / c), ("ky", k)] if c else []
+        conic = ("y^2", "Ry (1 + √(1 − (1 + ky) y^2/Ry^2))") if c else None
+        curve = "g(y)", DrawnTerms(powers.formula or ("" if c else "0"), (), conic)
+        if not across:
+            return DrawnTerms("g(y)", (*constants, *powers.constants), None, (curve,))
+        # With D, the formula is exact for both signs of Rx.
+        fraction = ("x^2", "Rx (D + √(D^2 − x^2/Rx^2))")
+        definitions = (("D", DrawnTerms("1 − g(y)/Rx")), curve)
+        return DrawnTerms("g(y)", (*constants, *powers.constants), fraction, definitions)
 
     def zemax(self) -> tuple[str, dict[int, float]]:
         radius = radius_of(float(self.terms[2])) if self.terms[2] else 0.0

@@ -1,10 +1,11 @@
-"""Panel of a conic, an asphere or a biconic on a drawing (ISO 10110-12): formula, constants, sags."""
+"""Panel of a conic, asphere, biconic or toroid on a drawing (ISO 10110-12): formula, constants, sags."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 from lensdesign.analysis.sag_tables import SagTable, radial_heights_mm, sag_table
 from lensdesign.lens.lens import Lens
@@ -22,7 +23,7 @@ SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 def asphere_panel(lens: Lens, index: int, name: str, area: Area, tolerances: SurfaceTolerances) -> list[Item]:
     """Draw formula, constants, slope tolerance and sag table of one surface.
 
-    The sags of a biconic are those along x and y; a note explains its orientation mark.
+    The sags of a biconic or a toroid are those along x and y; a note explains its orientation mark.
 
     Parameters
     ----------
@@ -47,12 +48,15 @@ def asphere_panel(lens: Lens, index: int, name: str, area: Area, tolerances: Sur
     radius = surface.radius_mm if rotational else None
     fraction = drawn.fraction or (None if radius is None else _conic_fraction(conic))
     sag = "z(r)" if rotational else "z(x, y)"
-    formula, rows_of_formula = _formula(sag, fraction, drawn.formula, Area(*area[:3], top))
-    items += formula
-    top -= rows_of_formula * LINE_MM
+    for symbol, formula_of in ((sag, replace(drawn, fraction=fraction)), *drawn.definitions):
+        formula, rows_of_formula = _formula(
+            symbol, formula_of.fraction, formula_of.formula, Area(*area[:3], top)
+        )
+        items += formula
+        top -= rows_of_formula * LINE_MM
     constants = _constants(radius, conic, drawn, tolerances.conic)
-    # Largest number of constants in a column.
-    max_rows = 11
+    # Largest number of constants in a column; several formulas need more of the height.
+    max_rows = 6 if drawn.definitions else 11
     columns = 1 if len(constants) <= max_rows else 2
     size = min(fitted(text, area.width / columns - 3.0, TEXT_MM)[1] for text in constants)
     rows = -(-len(constants) // columns)
@@ -68,7 +72,9 @@ def asphere_panel(lens: Lens, index: int, name: str, area: Area, tolerances: Sur
             top -= LINE_MM
         top -= 0.4 * LINE_MM
     if surface.semi_diameter_mm is not None:
-        spacing = _spacing(surface.semi_diameter_mm)
+        # The table also has a head and a note.
+        rows_left = math.floor((top - area.bottom) / LINE_MM - 3.1)
+        spacing = _spacing(surface.semi_diameter_mm, min(9, rows_left - 1))
         # The drawing specifies the nominal shape, not a measured one.
         nominal = lens.with_surface(index, figure=None)
         if rotational:
@@ -112,7 +118,7 @@ def _formula(sag: str, fraction: tuple[str, str] | None, terms: str, area: Area)
     conic_mm = text_width_mm(head + (below if curved else ""), 1.0)
     is_on_one_line = conic_mm + text_width_mm(tail, 1.0) <= width_mm / (0.75 * TEXT_MM) or not curved
     size = min(TEXT_MM, width_mm / (conic_mm + (text_width_mm(tail, 1.0) if is_on_one_line else 0.0)))
-    x, y = area.left + 1.5, area.top - 1.4 * LINE_MM
+    x, y = area.left + 1.5, area.top - (1.4 if curved else 1.0) * LINE_MM
     items: list[Item] = [Text(x, y, head.rstrip(), size)]
     x += text_width_mm(head, size)
     if curved:
@@ -124,21 +130,23 @@ def _formula(sag: str, fraction: tuple[str, str] | None, terms: str, area: Area)
         ]
         x += width
     if is_on_one_line:
-        return [*items, *([Text(x + text_width_mm(" ", size), y, tail.strip(), size)] if tail else [])], 2.6
+        x += text_width_mm(" ", size) if curved else 0.0
+        rows = 2.6 if curved else 1.6
+        return [*items, *([Text(x, y, tail.strip(), size)] if tail else [])], rows
     text, size = fitted(tail.strip(), width_mm, TEXT_MM)
     return [*items, Text(area.left + 3.0, y - 1.9 * LINE_MM, text, size)], 4.0
 
 
-def _spacing(semi_mm: float) -> float:
-    """Return the smallest round spacing in mm with at most nine steps to the rim."""
-    decade = 10.0 ** math.floor(math.log10(semi_mm / 9.0))
-    # These steps are so close to each other that a table has 7 to 10 rows.
+def _spacing(semi_mm: float, most_steps: int) -> float:
+    """Return the smallest round spacing in mm with at most this number of steps to the rim."""
+    decade = 10.0 ** math.floor(math.log10(semi_mm / most_steps))
+    # These steps are so close to each other that a table with at most nine of them has 7 to 10 rows.
     steps = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-    return next(step * decade for step in steps if semi_mm / (step * decade) <= 9.0)
+    return next(step * decade for step in steps if semi_mm / (step * decade) <= most_steps)
 
 
 def _sags_along_x_and_y(surface: Surface, spacing_mm: float, area: Area, top: float) -> list[Item]:
-    """Draw the sags of a biconic along its two axes, and the meaning of the orientation mark."""
+    """Draw the sags of a biconic or a toroid along x and y, and the meaning of the orientation mark."""
     heights = radial_heights_mm(surface.semi_diameter_mm or 0.0, spacing_mm)
     along_x, along_y = surface.shape.sag(heights, 0.0 * heights), surface.shape.sag(0.0 * heights, heights)
     rows = [(f"{h:.5g}", f"{x:z.6f}", f"{y:z.6f}") for h, x, y in zip(heights, along_x, along_y, strict=True)]

@@ -259,6 +259,57 @@ def test_biconics_have_formula_sags_and_an_orientation_mark(changes: dict[str, A
     assert filled == 1 + sum(isinstance(item, Stroke) and item.filled for item in items)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"radius_x_mm": -60.0},
+        {"radius_x_mm": None},
+        {"radius_mm": None},
+        {"radius_mm": None, "asphere": []},
+        {"asphere": [1e-6, 2e-9, -3e-12, 4e-15]},
+    ],
+)
+def test_toroids_have_formula_sags_and_an_orientation_mark(changes: dict[str, Any]) -> None:
+    keys = {"shape": "toroid", "radius_mm": 25.0, "radius_x_mm": 41.5, "conic": -0.5, "asphere": [2e-6]}
+    glass = {"thickness_mm": 9.0, "material": "N-BK7", "semi_diameter_mm": 9.0}
+    lens = lens_of(keys | changes | glass, {"radius_mm": -30.0, "conic": -1.0, "semi_diameter_mm": 9.0})
+    drawing = lens_drawing(lens)
+    assert_tidy(drawing)
+    texts = said(drawing.sheets[0])
+    surface = lens.surfaces[0]
+    constants = [f"Rx = {surface.radius_x_mm:.10g}"] if surface.radius_x_mm else []
+    constants += [f"Ry = {surface.radius_mm:.10g}", "ky = -0.5"] if surface.radius_mm else []
+    subscripts = ("₄", "₆", "₈", "₁₀")
+    constants += [f"A{i} = {a:.10g}" for i, a in zip(subscripts, surface.asphere, strict=False)]
+    assert [text for text in texts if " = " in text and text[:2] in ("Rx", "Ry", "ky")] == constants[
+        : len(constants) - len(surface.asphere)
+    ]
+    assert all(text in texts for text in constants)
+    assert ("D = 1 − g(y)/Rx" in " ".join(texts)) is bool(surface.radius_x_mm)
+    assert "g(y) =" in texts
+    assert sum("orientation mark at +y" in text for text in texts) == 1
+    x, y = (f"{float(surface.shape.sag(*at)):z.6f}" for at in ((9.0, 0.0), (0.0, 9.0)))
+    last = texts.index("9", texts.index("z(h, 0) (mm)"))
+    assert texts[last : last + 3] == ["9", x, y]
+
+
+@given(numbers(15.0, 80.0), signed(15.0, 80.0), numbers(-2.0, 1.0), numbers(-1e-5, 1e-5))
+def test_the_formula_of_a_toroid_is_its_sag(ry: float, rx: float, ky: float, a4: float) -> None:
+    """What the sheet states, computed as it states it."""
+    front = {"shape": "toroid", "radius_mm": ry, "radius_x_mm": rx, "conic": ky, "asphere": [a4]}
+    drawn = lens_of(front | {"thickness_mm": 9.0, "material": "N-BK7", "semi_diameter_mm": 5.0}, {}).surfaces[
+        0
+    ]
+    stated = dict(drawn.shape.drawn().constants)
+    assert stated == {"Rx": pytest.approx(rx), "Ry": pytest.approx(ry), "ky": ky, "A_4": a4}
+    for x, y in ((3.0, 0.0), (0.0, 4.0), (2.0, -3.5)):
+        g = y**2 / (ry * (1.0 + math.sqrt(1.0 - (1.0 + ky) * y**2 / ry**2))) + a4 * y**4
+        d = 1.0 - g / rx
+        z = x**2 / (rx * (d + math.sqrt(d**2 - x**2 / rx**2))) + g
+        assert z == pytest.approx(float(drawn.shape.sag(x, y)), rel=1e-9, abs=1e-12)
+
+
 def test_options_can_stand_in_a_file() -> None:
     text = """
     number = "7"
