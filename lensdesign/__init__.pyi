@@ -5,7 +5,7 @@ from .files.codev import read_seq, write_seq
 from .files.design import load_design, save_design
 from .files.oslo import read_len
 from .files.zemax import read_zmx, write_zmx
-from .lens.edges import Edge, Flange
+from .lens.edges import Edge, Flange, Gate
 from .lens.glass import get_material
 from .lens.lens import Lens, ObjectSpace, Sensor
 from .lens.poses import Pose, SurfacePerturbation
@@ -34,6 +34,7 @@ __all__ = [
     "DesignError",
     "Edge",
     "Flange",
+    "Gate",
     "InputError",
     "Lens",
     "MaterialError",

@@ -108,6 +108,10 @@ class DrawnEdge:
     drawn_diameter_mm, drawn_thickness_mm
         Ground diameter that a drawing has, or would need, and length of the edge cylinder there; 0 or less
         if the element does not close.
+    draft_deg
+        Draft of the edge; None if it is not stated.
+    has_gate_flat
+        Whether the design states a gate flat, which files of the body do not contain.
     """
 
     element: str
@@ -118,6 +122,8 @@ class DrawnEdge:
     origin: Literal["design", "chosen", "clear aperture"]
     drawn_diameter_mm: float
     drawn_thickness_mm: float
+    draft_deg: float | None = None
+    has_gate_flat: bool = False
 
     @property
     def fits(self) -> bool:
@@ -143,7 +149,10 @@ class DrawnEdge:
         )
         return (
             f"{self.element}: ground diameter {self.diameter_mm:g} mm, {origin} (clear {self.clear_mm:.6g} "
-            f"mm), edge {self.thickness_mm:.4g} mm thick{warning}"
+            f"mm), edge {self.thickness_mm:.4g} mm thick"
+            + (f", draft {abs(self.draft_deg):g}°" if self.draft_deg else "")
+            + ("; without the gate flat" if self.has_gate_flat else "")
+            + warning
         )
 
 
@@ -210,6 +219,8 @@ def drawn_outline(lens: Lens) -> DrawnOutline:
                 "design" if given is not None else "chosen" if closed else "clear aperture",
                 2.0 * ground_mm,
                 edged.edge_thickness_mm,
+                body.edge.draft_deg,
+                body.edge.gate is not None,
             )
         )
     return DrawnOutline(lens.replaced(edges=tuple(edges)), tuple(found))

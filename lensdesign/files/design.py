@@ -15,7 +15,7 @@ from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError
 from lensdesign.files.surface_figures import check_surface_figures
-from lensdesign.lens.edges import Edge, Flange
+from lensdesign.lens.edges import Edge, Flange, Gate
 from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
@@ -195,7 +195,11 @@ def _suspicious_lengths(data: Mapping[str, Any]) -> list[str]:
     try:
         edges = [
             Edge.model_construct(
-                **edge | {"flange": Flange.model_construct(**edge["flange"]) if "flange" in edge else None}
+                **edge
+                | {
+                    key: table.model_construct(**edge[key]) if key in edge else None
+                    for key, table in (("flange", Flange), ("gate", Gate))
+                }
             )
             for edge in data.get("edge", ())
         ]

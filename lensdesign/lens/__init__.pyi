@@ -1,4 +1,4 @@
-from .edges import Edge, Flange
+from .edges import Edge, Flange, Gate
 from .glass import get_material, glass_summary, list_glasses, refractive_index
 from .lens import Lens, ObjectSpace, Sensor
 from .meridian import SurfaceMeridian
@@ -15,6 +15,7 @@ __all__ = [
     "Edge",
     "Element",
     "Flange",
+    "Gate",
     "Lens",
     "ObjectSpace",
     "Pose",

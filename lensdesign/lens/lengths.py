@@ -424,3 +424,9 @@ def _of_edges(lens: Lens) -> Iterator[str]:
                 yield from implausible_values(
                     f"{location}, flange, {key}", getattr(edge.flange, key), plausible
                 )
+        if edge.gate is not None:
+            for key in ("flat_depth_mm", "width_mm", "thickness_mm"):
+                if (value := getattr(edge.gate, key)) is not None:
+                    yield from implausible_values(
+                        f"{location}, gate, {key}", value, _between(others, 5e-4 * middle)
+                    )

@@ -21,7 +21,6 @@ from lensdesign.lens.solid import (
     glass_element,
     glass_elements,
     glass_fronts,
-    mechanical_semi_diameter_mm,
     validate_edge,
 )
 from lensdesign.lens.surface import Surface, vertex_z_mm
@@ -207,18 +206,20 @@ class Lens(FrozenModel):
                 f"({len(fronts)}), or none at all"
             )
         for number, (i, edge) in enumerate(zip(fronts, self.edges, strict=False), start=1):
-            radius = mechanical_semi_diameter_mm(self, number - 1)
-            for j, (flat_mm, bevel_mm) in zip((i, i + 1), edge.sides(), strict=True):
+            element = glass_element(self, number - 1)
+            radii, edge_mm = element.edge_radii_mm, element.edge_mm
+            for j, (flat_mm, bevel_mm), radius in zip((i, i + 1), edge.sides(), radii, strict=True):
                 inner = radius - bevel_mm if flat_mm is None else flat_mm
                 clear = self.surfaces[j].semi_diameter_mm or 0.0
                 if inner < clear or inner <= 0.0 or inner > radius - bevel_mm:
                     raise ValueError(
-                        f"edge {number}: the cylinder of semi_diameter_mm = {radius:g} leaves no room for "
+                        f"edge {number}: the cylinder of semi_diameter_mm = {edge_mm:g} leaves no room for "
                         f"surface {j + 1} (clear semi-diameter {clear:g} mm), its "
                         + (f"flat from {flat_mm:g} mm and " if flat_mm is not None else "")
                         + f"bevel of {bevel_mm:g} mm"
+                        + (f" behind its draft to a radius of {radius:.6g} mm" if radius < edge_mm else "")
                     )
-            validate_edge(glass_element(self, number - 1))
+            validate_edge(element)
 
     @property
     def glass_fronts(self) -> tuple[int, ...]:

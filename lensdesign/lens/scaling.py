@@ -95,11 +95,12 @@ def scaled_edge(edge: Edge, factor: float) -> Edge:
     """Return an edge with all its lengths scaled."""
 
     def times(section: FrozenModel) -> dict[str, float]:
-        lengths = section.model_dump(exclude_none=True, exclude={"flange"})
+        lengths = section.model_dump(exclude_none=True, exclude={"flange", "gate", "draft_deg"})
         return {name: factor * value for name, value in lengths.items()}
 
     flange = None if edge.flange is None else edge.flange.replaced(**times(edge.flange))
-    return edge.replaced(**times(edge), flange=flange)
+    gate = None if edge.gate is None else edge.gate.replaced(**times(edge.gate))
+    return edge.replaced(**times(edge), flange=flange, gate=gate)
 
 
 def _surface(surface: Surface, factor: float) -> Surface:

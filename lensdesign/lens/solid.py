@@ -1,9 +1,10 @@
 """The glass bodies of a lens as exact solids: meridian, edge, closure and volume.
 
-An element is bounded by two optical surfaces, each extended with its own sag, and by its edge: a cylinder,
-with flat rings, bevels at 45 degrees and a flange where the design has them. A surface whose conic ends
+An element is bounded by two optical surfaces, each extended with its own sag, and by its edge: a cylinder, or
+the frustum of a cone if it has a draft, with flat rings, bevels at 45 degrees and a flange where the design
+has them. A surface whose conic ends
 inside that edge continues as a flat ring from its clear semi-diameter. If the body is not rotationally
-symmetric, flat rings and bevels follow the rim of their surface.
+symmetric, flat rings and bevels follow the rim of their surface. The flat of a gate is not part of the solid.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
@@ -51,9 +53,12 @@ class Element:
     front, back
         Meridians of the two surfaces, at one azimuth; z is measured from the front vertex of the lens.
     edge_mm
-        Radius of the edge cylinder.
+        Radius of the edge cylinder, or of the wide end of an edge with draft.
     edge
-        Flats, bevels and flange.
+        Draft, flats, bevels, flange and gate.
+    draft_mm
+        Amounts by which the radius of the edge is smaller than `edge_mm` at the front and at the back; both 0
+        without draft.
     """
 
     index: int
@@ -62,6 +67,12 @@ class Element:
     back: SurfaceMeridian
     edge_mm: float
     edge: Edge = SHARP
+    draft_mm: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def edge_radii_mm(self) -> tuple[float, float]:
+        """Radius of the edge at its front and at its back end; equal without draft."""
+        return self.edge_mm - self.draft_mm[0], self.edge_mm - self.draft_mm[1]
 
     @property
     def name(self) -> str:
@@ -93,19 +104,21 @@ class Element:
         the radial height, and z relative to the rim.
         """
         front, back = (
-            self._end(m, bevel)
-            for m, (_, bevel) in zip((self.front, self.back), self.edge.sides(), strict=True)
+            self._end(m, bevel, radius)
+            for m, (_, bevel), radius in zip(
+                (self.front, self.back), self.edge.sides(), self.edge_radii_mm, strict=True
+            )
         )
         return front, back * [1.0, -1.0]
 
-    def _end(self, meridian: SurfaceMeridian, bevel_mm: float) -> Array:
-        inner = self.edge_mm - bevel_mm
+    def _end(self, meridian: SurfaceMeridian, bevel_mm: float, radius_mm: float) -> Array:
+        inner = radius_mm - bevel_mm
         corners = [(inner, 0.0)] if meridian.end_mm < inner else []
-        return np.array(corners + ([(self.edge_mm, bevel_mm)] if bevel_mm else [])).reshape(-1, 2)
+        return np.array(corners + ([(radius_mm, bevel_mm)] if bevel_mm else [])).reshape(-1, 2)
 
     @property
     def cylinder_z_mm(self) -> tuple[float, float]:
-        """z at which the edge cylinder begins and ends, at the azimuth where it is shortest."""
+        """z at which the edge begins and ends, at the azimuth where it is shortest."""
         fronts, backs = zip(*(section._cylinder_z_mm for section in self.sections), strict=True)
         return max(fronts), min(backs)
 
@@ -119,9 +132,19 @@ class Element:
 
     @property
     def edge_thickness_mm(self) -> float:
-        """Length of the edge cylinder."""
+        """Length of the edge along the axis, at the azimuth where it is shortest."""
         front, back = self.cylinder_z_mm
         return back - front
+
+    @property
+    def longest_edge_mm(self) -> float:
+        """Length of the edge along the axis, at the azimuth where it is longest."""
+        return max(back - front for front, back in (section._cylinder_z_mm for section in self.sections))
+
+    @property
+    def center_thickness_mm(self) -> float:
+        """Thickness on the axis."""
+        return self.back.vertex_z_mm - self.front.vertex_z_mm
 
     @property
     def outer_mm(self) -> float:
@@ -142,6 +165,21 @@ class Element:
         return np.concatenate([front, self.flange_corners, back[::-1]])
 
     @property
+    def edge_profile(self) -> Array:
+        """Corners of the edge from its front to its back end, with those of the flange.
+
+        Radial height and z in mm, shape (2, 2) or (6, 2).
+        """
+        front, back = self._cylinder_z_mm
+        ends = np.array([self.edge_radii_mm, (front, back)]).T
+        return np.concatenate([ends[:1], self.flange_corners, ends[1:]])
+
+    def on_edge(self, corners: Array) -> NDArray[np.bool_]:
+        """Return which points (radial height, z), shape (n, 2), are corners of :attr:`edge_profile`."""
+        off = np.linalg.norm(corners[:, None] - self.edge_profile, axis=-1)
+        return np.asarray(np.min(off, axis=1) <= 1e-9 * self.edge_mm)
+
+    @property
     def flange_corners(self) -> Array:
         """Radial height and z of the flange's four corners, front to back; empty without one."""
         ring = self.edge.flange
@@ -149,8 +187,11 @@ class Element:
             return np.empty((0, 2))
         front = self.front.vertex_z_mm + ring.distance_mm
         back = front + ring.thickness_mm
-        radii = (self.edge_mm, ring.semi_diameter_mm)
-        return np.array([(radii[0], front), (radii[1], front), (radii[1], back), (radii[0], back)])
+        inner, outer = (
+            np.interp([front, back], self._cylinder_z_mm, self.edge_radii_mm),
+            ring.semi_diameter_mm,
+        )
+        return np.array([(inner[0], front), (outer, front), (outer, back), (inner[1], back)])
 
     @property
     def volume_mm3(self) -> float:
@@ -159,6 +200,43 @@ class Element:
         cores = (s.back.integral_mm3() - s.front.integral_mm3() for s in self.sections)
         rims = (ring_volume_mm3(s.rim) for s in self.sections)
         return float(np.mean([core + rim for core, rim in zip(cores, rims, strict=True)]))
+
+    @property
+    def gate_flat_volume_mm3(self) -> float:
+        """Volume that the flat of the gate removes from the body; 0 without a gate.
+
+        At a radial height r the flat, at the distance h from the axis, removes an arc of 2 acos(h / r). The
+        volume is exact for a body of revolution. Otherwise the mean of the half sections is used.
+        """
+        if self.edge.gate is None:
+            return 0.0
+        flat_mm = self.outer_mm - self.edge.gate.flat_depth_mm
+        t = np.linspace(0.0, 1.0, 2049)
+        nodes, weights = np.polynomial.legendre.leggauss(512)
+        # The square root of the arc's length at r = h is removed by r = h + (R - h) s^2.
+        s = 0.5 * (nodes + 1.0)
+        r = flat_mm + (self.outer_mm - flat_mm) * s * s
+        by_s = 2.0 * (self.outer_mm - flat_mm) * s
+        arcs = 2.0 * np.arccos(flat_mm / r)
+        thickness = np.mean([section._thickness_at(r, t) for section in self.sections], axis=0)
+        return float(0.5 * np.sum(weights * thickness * r * arcs * by_s))
+
+    def _thickness_at(self, r_mm: Array, t: Array) -> Array:
+        """Return the thickness of the half section along z at radial heights up to `outer_mm`."""
+        front, back = self.profiles(t, t)
+        (front_z, back_z), (front_mm, back_mm) = (front[-1, 1], back[-1, 1]), self.edge_radii_mm
+        corners = self.flange_corners
+        if len(corners):
+            inside = np.maximum(corners[[0, -1], 0], [front_mm, back_mm])
+            front = np.concatenate([front, [[inside[0], corners[0, 1]]], corners[1:2]])
+            back = np.concatenate([back, [[inside[1], corners[-1, 1]]], corners[2:3]])
+            return np.interp(r_mm, *back.T) - np.interp(r_mm, *front.T)
+        # Beyond the narrow end, the edge itself bounds the body.
+        if front_mm < back_mm:
+            front = np.concatenate([front, [[back_mm, back_z]]])
+        elif back_mm < front_mm:
+            back = np.concatenate([back, [[front_mm, front_z]]])
+        return np.interp(r_mm, *back.T) - np.interp(r_mm, *front.T)
 
     def profiles(self, front_t: Array, back_t: Array) -> tuple[Array, Array]:
         """Return both sides from the axis to the edge cylinder, including flat ring and bevel.
@@ -171,7 +249,7 @@ class Element:
         Returns
         -------
         front, back : ndarray, shape (n, 2)
-            Radial height (rising, from 0 to `edge_mm`) and z in mm.
+            Radial height (rising, from 0 to the radius of the edge at this side) and z in mm.
         """
         front, back = (
             _profile(m, t, end)
@@ -250,16 +328,47 @@ def glass_element(lens: Surfaces, index: int) -> Element:
 
     A surface whose conic ends inside the edge continues as a flat ring from its clear semi-diameter, or from
     the end of the conic if it has none.
+
+    Raises
+    ------
+    InputError
+        If the draft of the edge narrows it to nothing.
     """
+    edge = lens.edges[index] if lens.edges else SHARP
+    whole = _with_draft(lens, index, edge, (0.0, 0.0))
+    if not edge.draft_deg or whole.longest_edge_mm <= 0.0:
+        return whole
+    from scipy.optimize import brentq
+
+    tangent = math.tan(math.radians(abs(edge.draft_deg)))
+
+    def drafted(by_mm: float) -> Element:
+        assert edge.draft_deg is not None
+        return _with_draft(lens, index, edge, (0.0, by_mm) if edge.draft_deg > 0.0 else (by_mm, 0.0))
+
+    # The length of the edge depends on the sag at the narrow end.
+    def excess_mm(by_mm: float) -> float:
+        return tangent * drafted(by_mm).longest_edge_mm - by_mm
+
+    bevels_mm = max(bevel for _, bevel in edge.sides())
+    most_mm = (1.0 - 1e-6) * (whole.edge_mm - bevels_mm)
+    if not (most_mm > 0.0 and excess_mm(most_mm) < 0.0):
+        raise InputError(
+            f"{whole.name}: a draft_deg of {edge.draft_deg:g} narrows its edge of semi_diameter_mm = "
+            f"{whole.edge_mm:g} to nothing; give a smaller draft_deg"
+        )
+    return drafted(float(brentq(excess_mm, 0.0, most_mm, xtol=1e-13)))
+
+
+def _with_draft(lens: Surfaces, index: int, edge: Edge, draft_mm: tuple[float, float]) -> Element:
     i = glass_fronts(lens)[index]
     radius = mechanical_semi_diameter_mm(lens, index)
-    edge = lens.edges[index] if lens.edges else SHARP
     z = vertex_z_mm(lens.surfaces)
     front, back = (
-        _meridian(lens.surfaces[j], float(z[j]), radius - bevel if flat is None else flat)
-        for j, (flat, bevel) in zip((i, i + 1), edge.sides(), strict=True)
+        _meridian(lens.surfaces[j], float(z[j]), radius - by_mm - bevel if flat is None else flat)
+        for j, (flat, bevel), by_mm in zip((i, i + 1), edge.sides(), draft_mm, strict=True)
     )
-    return Element(index, (i, i + 1), front, back, radius, edge)
+    return Element(index, (i, i + 1), front, back, radius, edge, draft_mm)
 
 
 def _meridian(surface: Surface, z_mm: float, height_mm: float) -> SurfaceMeridian:
@@ -377,11 +486,13 @@ def validate_edge(element: Element) -> None:
 
 def _check_bevels(element: Element) -> None:
     """Refuse a bevel at a surface that slopes by 45 degrees or more, from which it removes no glass."""
-    sides = zip((element.front, element.back), element.edge.sides(), (1.0, -1.0), strict=True)
-    for i, (meridian, (_, bevel_mm), inward) in zip(element.surfaces, sides, strict=True):
+    sides = zip(
+        (element.front, element.back), element.edge.sides(), (1.0, -1.0), element.edge_radii_mm, strict=True
+    )
+    for i, (meridian, (_, bevel_mm), inward, radius_mm) in zip(element.surfaces, sides, strict=True):
         end = meridian.end_mm
         slope = inward * float(meridian.section.sag_and_slope(end)[1])
-        if bevel_mm and end >= element.edge_mm - bevel_mm and not slope < 1.0:
+        if bevel_mm and end >= radius_mm - bevel_mm and not slope < 1.0:
             raise InputError(
                 f"{element.name}: a bevel at 45 degrees removes no glass from surface {i + 1}, whose slope "
                 f"there is {math.degrees(math.atan(slope)):.4g} degrees; leave the bevel out, or end the "

@@ -241,7 +241,7 @@ def _draw_glass(axes: Axes, elements: Sequence[Element]) -> None:
     for element in elements:
         outline = element.outline()
         axes.fill(*_mirrored(outline).T, facecolor=GLASS, edgecolor=INK, lw=THIN, zorder=2)
-        edge = outline[outline[:, 0] >= element.edge_mm]
+        edge = element.edge_profile
         for sign in (1.0, -1.0):
             axes.plot(edge[:, 1], sign * edge[:, 0], color=INK, lw=THICK, solid_capstyle="butt", zorder=5)
 

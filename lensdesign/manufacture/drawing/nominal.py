@@ -90,7 +90,9 @@ def fitting(element: Element, general: DrawingTolerances) -> DrawingTolerances:
     if element.edge.flange is not None:
         sides = {"left": general.left, "right": general.right}
         general = general.replaced(**{k: side.replaced(chamfer_mm=None) for k, side in sides.items()})
-    margin = 2.0 * (element.edge_mm - _bevel_mm(element, general, 0) - clear_semi_diameter_mm(element))
+    margin = 2.0 * (
+        min(element.edge_radii_mm) - _bevel_mm(element, general, 0) - clear_semi_diameter_mm(element)
+    )
     min_tolerance_mm = 0.01
     if general.diameter_mm is None or not min_tolerance_mm <= margin < general.diameter_mm:
         return general
@@ -138,14 +140,18 @@ def _check_diameter(element: Element, clear: float, stated: DrawingTolerances) -
     """Raise an error if tolerance and smallest bevel of the design's edge reach into a clear aperture."""
     bevel = _bevel_mm(element, stated, 0)
     tolerance = 0.5 * (stated.diameter_mm or 0.0)
-    remaining = element.edge_mm - tolerance - bevel
+    remaining = min(element.edge_radii_mm) - tolerance - bevel
     if remaining < clear - 1e-9:
+        narrow = (
+            f" at the narrow end of its draft of {element.edge.draft_deg:g}°" if any(element.draft_mm) else ""
+        )
+        least = clear + tolerance + bevel + max(element.draft_mm)
         raise InputError(
             f"{element.name}: cannot be made: a ground diameter of {2.0 * element.edge_mm:g} mm leaves "
-            f"{2.0 * remaining:.5g} mm after its tolerance of {2.0 * tolerance:g} and a bevel of {bevel:g}, "
-            f"but the clear aperture is {2.0 * clear:.5g} mm; allowed: an [[edge]] with a semi_diameter_mm "
-            f"of at least {clear + tolerance + bevel:.4g}, a closer diameter_mm in the sheet's tolerances, "
-            "or no semi_diameter_mm (it is then chosen)"
+            f"{2.0 * remaining:.5g} mm after its tolerance of {2.0 * tolerance:g} and a bevel of {bevel:g}"
+            f"{narrow}, but the clear aperture is {2.0 * clear:.5g} mm; allowed: an [[edge]] with a "
+            f"semi_diameter_mm of at least {least:.4g}, a closer diameter_mm in the sheet's tolerances, or "
+            "no semi_diameter_mm (it is then chosen)"
         )
 
 

@@ -179,14 +179,22 @@ def _write(sections: list[_Section], title: str, statement: str, path: Path) -> 
             _add_surface(space, meridian, layer)
         edge, chamfer = f"{section.name}_EDGE", f"{section.name}_CHAMFER"
         document.layers.add(edge, lineweight=thick)
-        for (r0, z0), (r1, z1) in pairwise(_rim(section.body)):
-            is_bevel = abs(r1 - r0) > EXACT_MM and abs(z1 - z0) > EXACT_MM
+        corners = _rim(section.body)
+        for ((r0, z0), (r1, z1)), is_edge in zip(
+            pairwise(corners), _between_edges(section.body, corners), strict=True
+        ):
+            is_bevel = not is_edge and abs(r1 - r0) > EXACT_MM and abs(z1 - z0) > EXACT_MM
             layer = chamfer if is_bevel else edge
             if layer not in document.layers:
                 document.layers.add(layer, lineweight=thick)
             for side in (1.0, -1.0):
                 space.add_line((z0, side * r0), (z1, side * r1), {"layer": layer})
     save_document(document, path)
+
+
+def _between_edges(body: Element, corners: Array) -> list[bool]:
+    """Return which lines between successive corners belong to the edge or the flange."""
+    return [bool(start and end) for start, end in pairwise(body.on_edge(corners))]
 
 
 def _rim(body: Element) -> Array:

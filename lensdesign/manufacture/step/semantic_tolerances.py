@@ -136,11 +136,16 @@ def semantic_tolerances(element: Element, tolerances: DrawingTolerances) -> Sema
         Tolerances of its sheet; geometric tolerances without a value are left out.
     """
     corners = rim_corners(element)
-    cylinders = tuple(
+    outer_mm = element.outer_mm
+    # Faces of the edge, which are cylinders or, with draft, cones. The rim of the flange is no datum.
+    walls = tuple(
         index
-        for index, ((r0, z0), (r1, z1)) in enumerate(pairwise(corners), start=1)
-        if math.isclose(r0, element.edge_mm) and math.isclose(r1, element.edge_mm) and z0 != z1
+        for index, (((r0, z0), (r1, z1)), on_edge) in enumerate(
+            zip(pairwise(corners), pairwise(element.on_edge(corners)), strict=True), start=1
+        )
+        if all(on_edge) and z0 != z1 and (element.edge.flange is None or min(r0, r1) < outer_mm)
     )
+    cylinders = () if any(element.draft_mm) else walls
     front, back = 0, len(corners)
     thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
     # OCP 8.0 writes geometric tolerances in metres if the file has no dimension.
@@ -159,14 +164,14 @@ def semantic_tolerances(element: Element, tolerances: DrawingTolerances) -> Sema
         if zone := _profile_mm(meridian, side, fringe_um):
             geometric.append(GeometricTolerance("surface profile", face, zone))
         # The run-out of a surface that is not one of revolution also contains its shape.
-        if side.centring_arcmin and cylinders and surface.shape.ROTATIONAL:
+        if side.centring_arcmin and walls and surface.shape.ROTATIONAL:
             height = surface.semi_diameter_mm or meridian.end_mm
             runout = 2.0 * height * math.sin(math.radians(side.centring_arcmin / 60.0))
             geometric.append(GeometricTolerance("circular run-out", face, runout, DATUM))
-        if side.decenter_mm and cylinders:
+        if side.decenter_mm and walls:
             geometric.append(GeometricTolerance("coaxiality", face, 2.0 * side.decenter_mm, DATUM))
     uses_datum = any(one.datum for one in geometric)
-    return SemanticTolerances(tuple(dimensions), tuple(geometric), cylinders if uses_datum else ())
+    return SemanticTolerances(tuple(dimensions), tuple(geometric), walls if uses_datum else ())
 
 
 def _profile_mm(meridian: SurfaceMeridian, side: SurfaceTolerances, fringe_um: float) -> float:

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import ezdxf
 import numpy as np
 import pytest
 from drawing_checks import assert_tidy
@@ -15,15 +16,17 @@ from random_lenses import numbers
 from small_lenses import lens_of
 
 from lensdesign.analysis.check import check_design, edge_thickness_mm
+from lensdesign.analysis.outline import drawn_outline
 from lensdesign.errors import DesignError, InputError
 from lensdesign.files.design import load_design, save_design
 from lensdesign.files.zemax import read_zmx, write_zmx
-from lensdesign.lens.edges import Edge, Flange
+from lensdesign.lens.edges import Edge, Flange, Gate
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.scaling import scaled
 from lensdesign.lens.solid import closed_elements
 from lensdesign.manufacture.drawing.sheets import lens_drawing
+from lensdesign.manufacture.dxf.outline import write_outline
 from lensdesign.manufacture.mesh.mesh import lens_mesh
 from lensdesign.manufacture.step.writing import write_step
 
@@ -64,6 +67,87 @@ def test_volume_of_a_plate_with_bevels_and_a_flange() -> None:
     assert element.rim == pytest.approx(np.array(corners))
 
 
+@given(radius=numbers(4.5, 9.0), thickness=numbers(0.5, 6.0), draft=numbers(-20.0, 20.0))
+def test_volume_of_a_plate_with_draft_is_that_of_a_frustum(
+    radius: float, thickness: float, draft: float
+) -> None:
+    narrow = radius - thickness * math.tan(math.radians(abs(draft)))
+    assume(narrow > 4.1)
+    (element,) = closed_elements(plate(thickness, {"semi_diameter_mm": radius, "draft_deg": draft}))
+    expected = math.pi * thickness / 3.0 * (radius**2 + radius * narrow + narrow**2)
+    assert element.volume_mm3 == pytest.approx(expected, rel=1e-10)
+    ends = (radius, narrow) if draft > 0.0 else (narrow, radius)
+    assert element.edge_radii_mm == pytest.approx(ends, abs=1e-9)
+    assert element.rim == pytest.approx(np.array([(ends[0], 0.0), (ends[1], thickness)]), abs=1e-9)
+    assert (element.edge_mm, element.outer_mm) == (radius, radius)
+
+
+@given(depth=numbers(0.01, 1.9), draft=numbers(-5.0, 5.0), flanged=st.booleans())
+def test_volume_of_a_gate_flat(depth: float, draft: float, flanged: bool) -> None:
+    """On a plate the flat removes, at each z, a segment of the circle there."""
+    edge: dict[str, Any] = {"semi_diameter_mm": 6.0, "draft_deg": draft, "gate": {"flat_depth_mm": depth}}
+    if flanged:
+        edge["flange"] = {"semi_diameter_mm": 8.0, "distance_mm": 1.0, "thickness_mm": 0.5}
+    (element,) = closed_elements(plate(3.0, edge))
+    flat = element.outer_mm - depth
+    z = (np.arange(20000) + 0.5) / 20000 * 3.0
+    radius = np.interp(z, [0.0, 3.0], element.edge_radii_mm)
+    if flanged:
+        radius = np.where((z > 1.0) & (z < 1.5), 8.0, radius)
+    r = np.maximum(radius, flat)
+    segments = r * r * np.arccos(flat / r) - flat * np.sqrt(r * r - flat * flat)
+    assert element.gate_flat_volume_mm3 == pytest.approx(3.0 * float(np.mean(segments)), rel=2e-3, abs=1e-6)
+    gate = element.edge.gate
+    assert gate is not None
+    outer = element.outer_mm
+    assert gate.flat_width_mm(outer) == pytest.approx(2.0 * outer * math.sin(math.acos(flat / outer)))
+
+
+@pytest.mark.parametrize("draft", [3.0, -3.0])
+def test_draft_meets_the_angle_between_curved_surfaces(paper_lens: Lens, draft: float) -> None:
+    (element,) = closed_elements(moulded(paper_lens, draft_deg=draft, semi_diameter_mm=11.2))
+    front, back = element.edge_radii_mm
+    assert front - back == pytest.approx(element.edge_thickness_mm * math.tan(math.radians(draft)), rel=1e-9)
+    profile = element.edge_profile
+    walls = profile[[0, 1, 4, 5]]  # along the cone, before and behind the flange
+    fitted = np.polyfit(walls[:, 1], walls[:, 0], 1)
+    assert walls[:, 0] == pytest.approx(np.polyval(fitted, walls[:, 1]), abs=1e-9)
+    assert math.degrees(math.atan(-fitted[0])) == pytest.approx(draft, abs=1e-6)
+
+
+def test_a_freeform_with_draft_has_a_closed_solid_and_mesh(tmp_path: Path) -> None:
+    lens = plate(4.0, {"semi_diameter_mm": 5.0, "draft_deg": 3.0}).with_surface(
+        1, shape_type="toroid", radius_mm=-25.0, radius_x_mm=-40.0
+    )
+    (element,) = closed_elements(lens)
+    front, back = element.edge_radii_mm
+    tangent = math.tan(math.radians(3.0))
+    # The draft is that of the design where the edge is longest, and greater elsewhere.
+    assert front - back == pytest.approx(tangent * element.longest_edge_mm, rel=1e-9)
+    assert element.edge_thickness_mm < element.longest_edge_mm
+    mesh = lens_mesh(lens, 1.0)
+    assert mesh.mesh.is_watertight
+    assert mesh.volume_mm3 == pytest.approx(element.volume_mm3, rel=1e-4)
+    report = write_step(lens, tmp_path / "lens.step")
+    assert report.volume_mm3 == pytest.approx(element.volume_mm3, rel=1e-7)
+
+
+def test_exports_have_the_draft(paper_lens: Lens, tmp_path: Path) -> None:
+    lens = moulded(paper_lens, semi_diameter_mm=11.2, draft_deg=2.0, gate=Gate(flat_depth_mm=0.5))
+    (element,) = closed_elements(lens)
+    report = write_step(lens, tmp_path / "lens.step")
+    assert report.volume_mm3 == pytest.approx(element.volume_mm3, rel=1e-9)
+    write_outline(lens, tmp_path / "lens.dxf")
+    entities = [e for e in ezdxf.readfile(tmp_path / "lens.dxf").modelspace() if e.dxf.layer.endswith("EDGE")]
+    ends = np.array([[(p.x, abs(p.y)) for p in (e.dxf.start, e.dxf.end)] for e in entities])
+    slanted = ends[np.ptp(ends[..., 1], axis=1) * np.ptp(ends[..., 0], axis=1) > 1e-9]
+    assert len(slanted) == 4  # before and behind the flange, above and below the axis
+    for (z0, r0), (z1, r1) in slanted:
+        assert math.degrees(math.atan2(r0 - r1, z1 - z0)) == pytest.approx(2.0, abs=1e-6)
+    (statement,) = drawn_outline(lens).statements
+    assert ", draft 2°; without the gate flat" in statement
+
+
 def test_a_flat_ring_begins_where_the_edge_says(paper_lens: Lens) -> None:
     (element,) = closed_elements(moulded(paper_lens))
     sag = float(paper_lens.surfaces[0].sag_mm(9.0))
@@ -95,6 +179,7 @@ def edged_lenses(draw: st.DrawFn) -> Lens:
         back_flat_from_mm=flats[1],
         front_bevel_mm=bevels[0],
         back_bevel_mm=bevels[1],
+        draft_deg=draw(st.none() | numbers(-5.0, 5.0)),
     )
     try:
         lens = lens.replaced(edges=(edge,))
@@ -153,7 +238,7 @@ def test_drawings_stay_tidy_and_state_the_edge(lens: Lens) -> None:
 
 
 def test_files_keep_edges(paper_lens: Lens, tmp_path: Path) -> None:
-    lens = moulded(paper_lens)
+    lens = moulded(paper_lens, draft_deg=-0.25, gate=Gate(flat_depth_mm=0.5, thickness_mm=0.8))
     save_design(lens, tmp_path / "a.toml")
     assert load_design(tmp_path / "a.toml") == lens
     write_zmx(lens, tmp_path / "a.zmx")
@@ -161,13 +246,17 @@ def test_files_keep_edges(paper_lens: Lens, tmp_path: Path) -> None:
 
 
 def test_a_twin_has_the_edge_scaled(paper_lens: Lens) -> None:
-    (edge,) = scaled(moulded(paper_lens), 0.5).edges
+    gate = Gate(flat_depth_mm=0.6, width_mm=3.0)
+    lens = moulded(paper_lens, draft_deg=0.25, gate=gate)
+    (edge,) = scaled(lens, 0.5).edges
     assert edge == Edge(
         semi_diameter_mm=5.5,
         front_flat_from_mm=4.5,
         front_bevel_mm=0.15,
         back_bevel_mm=0.1,
+        draft_deg=0.25,
         flange=Flange(semi_diameter_mm=6.5, distance_mm=1.0, thickness_mm=0.6),
+        gate=Gate(flat_depth_mm=0.3, width_mm=1.5),
     )
 
 
@@ -197,6 +286,13 @@ def test_a_twin_has_the_edge_scaled(paper_lens: Lens) -> None:
             "not on the edge cylinder, which extends from 1.455.* behind the front vertex",
         ),
         ({"front_bevel_mm": -0.1}, r"edge 1, front_bevel_mm = -0.1"),
+        ({"draft_deg": 1.0}, "an edge with a draft needs a semi_diameter_mm"),
+        ({"gate": {"flat_depth_mm": 0.5}}, "an edge with a gate needs a semi_diameter_mm"),
+        ({"semi_diameter_mm": 11.0, "draft_deg": 31.0}, r"edge 1, draft_deg = 31"),
+        ({"semi_diameter_mm": 11.0, "draft_deg": 25.0}, r"surface 2 .*behind its draft to a radius of 8\."),
+        ({"semi_diameter_mm": 11.0, "gate": {"flat_depth_mm": 11.0}}, "less than the radius of the edge, 11"),
+        ({"semi_diameter_mm": 11.0, "gate": {"flat_depth_mm": 0.0}}, r"edge 1, gate, flat_depth_mm = 0"),
+        ({"semi_diameter_mm": 11.0, "gate": {}}, r"flat_depth_mm"),
         ({"bevel": 0.1}, "unknown key"),
     ],
 )

@@ -57,6 +57,26 @@ sheets = st.builds(
 )
 
 
+def test_the_datum_of_an_edge_with_draft_is_its_cone() -> None:
+    lens = singlet(30.0, -40.0, 5.0, (6.0, 6.0))
+    stated = DrawingTolerances(
+        left=SurfaceTolerances(centring_arcmin=3.0),
+        right=SurfaceTolerances(),
+        thickness_mm=0.1,
+        diameter_mm=0.1,
+    )
+    kinds = []
+    for draft in (None, 2.0):
+        edge = {"semi_diameter_mm": 8.0, "draft_deg": draft}
+        (element,) = closed_elements(lens.replaced(edges=(edge,)))
+        found = semantic_tolerances(element, stated)
+        assert found.datum_faces == (1,)
+        assert [one.kind for one in found.geometric] == ["circular run-out"]
+        kinds.append([one.kind for one in found.dimensions])
+    # A cone has no size that a diameter could state.
+    assert kinds == [["linear distance", "diameter"], ["linear distance"]]
+
+
 @settings(max_examples=20)
 @given(lens=lenses(), sheet=sheets, other=sheets)
 def test_random_lenses_and_sheets(lens: Lens, sheet: DrawingTolerances, other: DrawingTolerances) -> None:
