@@ -1,4 +1,5 @@
 from .analysis.check import check_design
+from .analysis.moulding import MouldingCheck, moulding_checks
 from .analysis.report import CheckReport
 from .errors import DesignError, InputError, MaterialError, TransferLensError
 from .files.codev import read_seq, write_seq
@@ -8,6 +9,7 @@ from .files.zemax import read_zmx, write_zmx
 from .lens.edges import Edge, Flange, Gate
 from .lens.glass import get_material
 from .lens.lens import Lens, ObjectSpace, Sensor
+from .lens.moulding import Moulding
 from .lens.poses import Pose, SurfacePerturbation
 from .lens.scaling import scaled
 from .lens.surface import Surface
@@ -38,6 +40,8 @@ __all__ = [
     "InputError",
     "Lens",
     "MaterialError",
+    "Moulding",
+    "MouldingCheck",
     "ObjectSpace",
     "OptimizationResult",
     "Pose",
@@ -60,6 +64,7 @@ __all__ = [
     "lens_drawing",
     "load_design",
     "load_specification",
+    "moulding_checks",
     "optimize",
     "pupil_hexapolar",
     "read_len",

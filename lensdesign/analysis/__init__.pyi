@@ -2,6 +2,7 @@ from .check import check_design
 from .exit_beam import footprint, largest_spread_angle, observation_distance_mm, rms_spot_diameter
 from .form_error import form_errors, pv_rms_waves
 from .ghosts import GhostReport, ghost_report
+from .moulding import MouldingCheck, moulding_checks
 from .paraxial import cardinal_points, first_order
 from .report import CheckReport
 from .sag_tables import SagTable, sag_table, write_sag_table
@@ -10,6 +11,7 @@ from .space_bandwidth import match, spread_limit_sine
 __all__ = [
     "CheckReport",
     "GhostReport",
+    "MouldingCheck",
     "SagTable",
     "cardinal_points",
     "check_design",
@@ -19,6 +21,7 @@ __all__ = [
     "ghost_report",
     "largest_spread_angle",
     "match",
+    "moulding_checks",
     "observation_distance_mm",
     "pv_rms_waves",
     "rms_spot_diameter",

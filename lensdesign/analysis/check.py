@@ -16,6 +16,7 @@ from lensdesign.analysis.exit_beam import (
     spread_angle_and_footprints,
 )
 from lensdesign.analysis.form_error import form_errors
+from lensdesign.analysis.moulding import moulding_checks
 from lensdesign.analysis.outline import thinnest_drawn_edge
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.analysis.report import CheckReport, Constraint, WavelengthCheck, WorstRay
@@ -51,7 +52,7 @@ def check_design(lens: Lens | FilePath, *, refined: bool = True) -> CheckReport:
 
     The constraints are the space-bandwidth product of the sensor (Eq. 1 of the paper), the spread angle
     behind the lens (Eq. 2), light beyond the sensor, vignetting, the numerical aperture, and the edges of the
-    glass.
+    glass. Moulded elements are checked in addition (:func:`lensdesign.analysis.moulding.moulding_checks`).
 
     Parameters
     ----------
@@ -129,6 +130,7 @@ def check_design(lens: Lens | FilePath, *, refined: bool = True) -> CheckReport:
         etendue_share=worst.row.etendue_share,
         wavelengths=rows,
         figures=form_errors(lens),
+        moulding=moulding_checks(lens),
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lensdesign.analysis.form_error import FormError
+from lensdesign.analysis.moulding import MouldingCheck
 from lensdesign.analysis.outline import DrawnEdge
 from lensdesign.common.notebook import html_table
 from lensdesign.common.text import finite_or_none, number_with_unit, relation_symbol
@@ -134,6 +135,8 @@ class CheckReport:
         Results at each wavelength.
     figures
         Form error of each measured surface; empty without measured surfaces.
+    moulding
+        Checks of moulded elements, which `feasible` and `violations` do not include; empty without one.
 
     Examples
     --------
@@ -175,6 +178,12 @@ class CheckReport:
     etendue_share: float
     wavelengths: tuple[WavelengthCheck, ...]
     figures: tuple[FormError, ...]
+    moulding: tuple[MouldingCheck, ...] = ()
+
+    @property
+    def mouldable(self) -> bool:
+        """Whether no moulding check is missed; True for a lens without moulded elements."""
+        return all(check.met is not False for check in self.moulding)
 
     def __repr__(self) -> str:
         met = "every constraint met" if self.feasible else f"not met: {len(self.violations)}"
@@ -192,6 +201,7 @@ class CheckReport:
             )
             for c in self.constraints
         ]
+        rows += [(f"element {c.element}: {c.name}", c.result_text) for c in self.moulding]
         rows += [
             ("resolution", f"{self.resolution_um:.4g} µm"),
             ("effective, back focal length", f"{self.efl_mm:.4f}, {self.bfl_mm:.4f} mm"),
@@ -201,7 +211,7 @@ class CheckReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; values that are not finite become None."""
-        return _plain(asdict(self))
+        return _plain(asdict(self) | {"mouldable": self.mouldable})
 
 
 def _plain(value: Any) -> Any:

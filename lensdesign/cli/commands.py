@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -27,6 +28,8 @@ from lensdesign.common.text import quantity_text, relation_symbol, visible
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from lensdesign.analysis.report import CheckReport
 
 app = make_app(
@@ -85,6 +88,12 @@ def check(
             rich_help_panel=OptionGroup.INPUT,
         ),
     ] = None,
+    moulding: Annotated[
+        bool,
+        typer.Option(
+            "--moulding/--no-moulding", help="Check moulded elements.", rich_help_panel=OptionGroup.INPUT
+        ),
+    ] = True,
     as_json: Json = False,
 ) -> None:
     """Check matching, spread, footprint and edges, or a specification's constraints.
@@ -94,9 +103,12 @@ def check(
     footprint on the sensor, the numerical aperture, throughput and the edge thickness. A specification
     (--against) replaces these constraints with its own, for its field, aperture, wavelengths and sensor.
 
+    Elements of plastic, and others that the design's [moulding] selects, are also checked for moulding:
+    draft, gate, thicknesses, slopes and sags. A check without a stated value or a limit stays open.
+
     Example: lensdesign check lens.toml
 
-    Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.
+    Exit status: 0 if every constraint and moulding check is met or open, 1 if not, 2 for bad input.
     """
     from lensdesign.files.design import load_design
 
@@ -110,11 +122,13 @@ def check(
         from lensdesign.optimization.specification_check import check_against
 
         report = check_against(lens, load_specification(against))
+    if not moulding:
+        report = replace(report, moulding=())
     if as_json:
         print_json(report.as_dict())
     else:
         _print_check(report)
-    raise typer.Exit(0 if report.feasible else 1)
+    raise typer.Exit(0 if report.feasible and report.mouldable else 1)
 
 
 @app.command()
@@ -314,7 +328,11 @@ def _print_check(report: CheckReport) -> None:
         rows.append((label, f"{edge.drawn_thickness_mm:.3f} mm"))
     for row in rows:
         figures.add_row(*row)
-    print_tables(constraints, figures)
+    print_tables(constraints, *([_moulding_table(report)] if report.moulding else []), figures)
+    for source, number in _moulding_sources(report).items():
+        typer.echo(f"source {number}: {source}")
+    for key in dict.fromkeys(m.limit_key for m in report.moulding if m.limit is None):
+        typer.echo(f"no published limit is known for this material: set {key} in [moulding]")
     if edge is not None and not edge.fits:
         typer.echo(
             f"not drawable with general tolerances: {edge.element}: bevels and thickness tolerance take "
@@ -326,10 +344,34 @@ def _print_check(report: CheckReport) -> None:
             f"{1e3 * f.wavelength_um:.1f} nm without tilt; PV {f.pv_without_power_waves:.3f}, "
             f"RMS {f.rms_without_power_waves:.3f} without power"
         )
-    if report.feasible:
+    if report.feasible and report.mouldable:
         typer.echo("every constraint is met")
     for sentence in report.violations:
         say("not met:", sentence)
+    for m in report.moulding:
+        if m.met is False:
+            say("not met:", m.miss)
+
+
+def _moulding_sources(report: CheckReport) -> dict[str, int]:
+    """Return the sources of the moulding limits with their numbers from 1."""
+    sources = dict.fromkeys(m.source_text for m in report.moulding if m.source)
+    return {source: number for number, source in enumerate(sources, start=1)}
+
+
+def _moulding_table(report: CheckReport) -> Table:
+    several = len({m.element for m in report.moulding}) > 1
+    numbers = _moulding_sources(report)
+    found = table("Moulding", "check", "value", "limit", "", "source")
+    for m in report.moulding:
+        found.add_row(
+            f"{f'element {m.element}: ' if several else ''}{m.name}",
+            "not stated" if m.value is None else quantity_text(m.value, m.unit),
+            "" if m.limit is None else f"{relation_symbol(m.relation)} {quantity_text(m.limit, m.unit)}",
+            "open" if m.met is None else _met(m.met),
+            str(numbers[m.source_text]) if m.source else "",
+        )
+    return found
 
 
 def _met(met: bool) -> str:

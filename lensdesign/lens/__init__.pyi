@@ -2,6 +2,7 @@ from .edges import Edge, Flange, Gate
 from .glass import get_material, glass_summary, list_glasses, refractive_index
 from .lens import Lens, ObjectSpace, Sensor
 from .meridian import SurfaceMeridian
+from .moulding import Moulding
 from .poses import Pose, SurfacePerturbation, rotation_matrix
 from .scaling import scaled
 from .solid import Element, closed_elements
@@ -17,6 +18,7 @@ __all__ = [
     "Flange",
     "Gate",
     "Lens",
+    "Moulding",
     "ObjectSpace",
     "Pose",
     "Sensor",

@@ -15,6 +15,7 @@ from lensdesign.common.notebook import html_table
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import refractive_index
+from lensdesign.lens.moulding import Moulding
 from lensdesign.lens.section_picture import section_svg
 from lensdesign.lens.shapes.base import directions
 from lensdesign.lens.solid import (
@@ -110,6 +111,8 @@ class Lens(FrozenModel):
         Refracting surfaces, front to back.
     edges
         One edge for each glass element, front to back, or none at all.
+    moulding
+        Settings of the moulding checks; None for their defaults.
 
     Examples
     --------
@@ -136,6 +139,7 @@ class Lens(FrozenModel):
     sensor: Sensor
     surfaces: Annotated[tuple[Surface, ...], Field(alias="surface", min_length=1)]
     edges: Annotated[tuple[Edge, ...], Field(alias="edge")] = ()
+    moulding: Moulding | None = None
 
     @field_validator("glass_catalogs", mode="before")
     @classmethod
@@ -220,6 +224,12 @@ class Lens(FrozenModel):
                         + (f" behind its draft to a radius of {radius:.6g} mm" if radius < edge_mm else "")
                     )
             validate_edge(element)
+        for number in (self.moulding and self.moulding.elements) or ():
+            if number > len(fronts):
+                raise ValueError(
+                    f"moulding: elements has {number}, but the lens has {len(fronts)}; allowed: 1 to "
+                    f"{len(fronts)}"
+                )
 
     @property
     def glass_fronts(self) -> tuple[int, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.lens.edges import Flange
 from lensdesign.lens.solid import Element
+from lensdesign.manufacture.drawing.moulding_list import GATE_NAME
 from lensdesign.manufacture.drawing.primitives import (
     ASCENT,
     CENTRE_LINE_DASHES,
@@ -72,6 +73,8 @@ class _Body:
         x and height of the rim of both clear apertures; None for a surface without one.
     flange : ndarray, shape (0 or 4, 2)
         Corners of the flange: height above the axis, and x.
+    gate_flat
+        Height of the gate flat below the axis; inf without one.
     """
 
     front: Array
@@ -79,11 +82,17 @@ class _Body:
     axis_y: float
     clear: tuple[tuple[float, float] | None, tuple[float, float] | None]
     flange: Array
+    gate_flat: float = math.inf
 
     @property
     def half(self) -> float:
-        """Half of the ground diameter."""
-        return float(self.front[-1, 0])
+        """Half of the ground diameter, at the wide end of an edge with draft."""
+        return float(max(self.front[-1, 0], self.back[-1, 0]))
+
+    @property
+    def wide_x(self) -> float:
+        """x of the end of the edge with the ground diameter: the right end of a cylinder."""
+        return float(self.front[-1, 1] if self.front[-1, 0] > self.back[-1, 0] else self.back[-1, 1])
 
     @property
     def outer(self) -> float:
@@ -102,7 +111,13 @@ class _Body:
         """Return which points are inside the body by at least a margin."""
         r = np.abs(y - self.axis_y)
         front, back = (np.interp(r, *profile.T) for profile in (self.front, self.back))
-        return np.asarray((r <= self.half - margin) & (x >= front + margin) & (x <= back - margin))
+        half = np.where(y < self.axis_y, min(self.narrow, self.gate_flat), self.narrow)
+        return np.asarray((r <= half - margin) & (x >= front + margin) & (x <= back - margin))
+
+    @property
+    def narrow(self) -> float:
+        """Half of the diameter at the narrow end of the edge."""
+        return float(min(self.front[-1, 0], self.back[-1, 0]))
 
 
 def section_view(element: Element, tolerances: DrawingTolerances, area: Area) -> SectionView:
@@ -162,14 +177,42 @@ def _body_on_paper(
     profiles, flange = (on_paper(front_profile), on_paper(back_profile)), on_paper(element.flange_corners)
     sides = zip(profiles, (element.front, element.back), strict=True)
     left, right = (rim(profile, meridian.surface.semi_diameter_mm) for profile, meridian in sides)
-    return _Body(*profiles, axis_y, (left, right), flange)
+    gate = element.edge.gate
+    gate_flat = math.inf if gate is None else scale * (element.outer_mm - gate.flat_depth_mm)
+    return _Body(*profiles, axis_y, (left, right), flange, gate_flat)
 
 
 def _outline(body: _Body) -> list[Item]:
     half = np.concatenate([body.front, body.flange, body.back[::-1]])
-    around = np.concatenate([half, half[::-1] * [-1.0, 1.0]])
+    lower = _cut(half, body.gate_flat)
+    around = np.concatenate([half, lower[::-1] * [-1.0, 1.0]])
     points = tuple((float(x), body.axis_y + float(r)) for r, x in around)
-    return [Stroke(points, THICK_MM, closed=True)]
+    items: list[Item] = [Stroke(points, THICK_MM, closed=True)]
+    if math.isfinite(body.gate_flat):
+        on_flat = lower[np.isclose(lower[:, 0], body.gate_flat)]
+        tip = float(np.mean(on_flat[:, 1])), body.axis_y - body.gate_flat
+        # Left of the body and between the extension lines of diameters and thicknesses.
+        name = Text(body.leftmost - 4.0, body.axis_y - body.outer - 4.4, GATE_NAME, TEXT_MM, "end")
+        start = name.x_mm + 0.8, name.y_mm + 0.4 * TEXT_MM
+        length = math.dist(start, tip)
+        along = (tip[0] - start[0]) / length, (tip[1] - start[1]) / length
+        items += [line(*start, *tip), _arrow(*tip, *along), name]
+    return items
+
+
+def _cut(half: Array, height: float) -> Array:
+    """Return an outline of points (height, x) without what lies above a height: the flat of a gate."""
+    above = np.flatnonzero(half[:, 0] > height)
+    if not len(above):
+        return half
+    first, last = int(above[0]), int(above[-1])
+
+    def crossing(inside: Array, outside: Array) -> Array:
+        fraction = (height - inside[0]) / (outside[0] - inside[0])
+        return np.asarray(inside + fraction * (outside - inside))
+
+    ends = [crossing(half[first - 1], half[first]), crossing(half[last + 1], half[last])]
+    return np.concatenate([half[:first], ends, half[last + 1 :]])
 
 
 def _hatching(body: _Body) -> list[Item]:
@@ -312,7 +355,7 @@ def _clear_diameters(body: _Body, element: Element) -> list[Item]:
 
 def _ground_diameter(body: _Body, text: str) -> list[Item]:
     """Draw the ground diameter with the datum triangle, which makes the axis of the edge the datum."""
-    x, edge_x = body.rightmost + GROUND_OFFSET_MM, float(body.back[-1, 1])
+    x, edge_x = body.rightmost + GROUND_OFFSET_MM, body.wide_x
     low, high = body.axis_y - body.half, body.axis_y + body.half
     dimension = _vertical(x, low, high, edge_x, text)
     items, base = list(dimension.items), dimension.top
@@ -336,10 +379,10 @@ def _thickness(body: _Body, text: str) -> list[Item]:
 
 def _edge_thickness(body: _Body, text: str) -> list[Item]:
     """Draw the edge thickness, in brackets because it follows from the other dimensions."""
-    edge = body.axis_y + body.half
+    edges = body.axis_y + float(body.front[-1, 0]), body.axis_y + float(body.back[-1, 0])
     x0, x1 = float(body.front[-1, 1]), float(body.back[-1, 1])
     y = body.axis_y + body.outer + TOP_MM - 3.0 - 2.0 * ASCENT * TEXT_MM
-    return _horizontal(y, x0, x1, (edge, edge), text, side=-1.0)
+    return _horizontal(y, x0, x1, edges, text, side=-1.0)
 
 
 def _orientation_mark(body: _Body) -> Stroke:

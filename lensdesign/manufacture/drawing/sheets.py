@@ -8,6 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from lensdesign.analysis.moulding import moulding_checks
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.text import alternatives
@@ -16,6 +17,8 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, closed_elements
 from lensdesign.manufacture.drawing.asphere import asphere_panel
 from lensdesign.manufacture.drawing.assumed import AssumedTolerances
+from lensdesign.manufacture.drawing.moulding_list import LINE_MM as LIST_LINE_MM
+from lensdesign.manufacture.drawing.moulding_list import moulding_lines, moulding_list
 from lensdesign.manufacture.drawing.nominal import Stated, fitting, stated_lens
 from lensdesign.manufacture.drawing.primitives import (
     SHEET_MM,
@@ -78,10 +81,11 @@ class DrawingOptions(FrozenModel):
 def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
     """Draw every glass element of a lens with its nominal values, without measured figures.
 
-    Each sheet has a section view to scale, the table of ISO 10110-10, formula and sags of conics, aspheres
-    and biconics (ISO 10110-12), and a title block. The section of a biconic is the plane x = 0; a mark on the
-    edge shows +y. The left surface is the one that light meets first. The datum axis A of the centring
-    tolerances (4/) is the axis of the ground edge at the mechanical semi-diameter of the lens.
+    Each sheet has a section view to scale, the table of ISO 10110-10, formula and sags of conics, aspheres,
+    biconics and toroids (ISO 10110-12), and a title block. The section of a biconic or a toroid is the plane
+    x = 0; a mark on the edge shows +y. A list states draft, gate and moulding checks of a moulded element.
+    The left surface is the one that light meets first. The datum axis A of the centring tolerances (4/) is
+    the axis of the edge at the mechanical semi-diameter of the lens.
     :func:`drawing_as_stated` rounds the values and chooses the edges.
 
     Parameters
@@ -165,11 +169,15 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
     aspheric = [i for i in element.surfaces if lens.surfaces[i].kind not in ("plane", "sphere")]
     _check_slopes(lens, sides, aspheric)
     upper = Area(FRAME.left, TABLE_TOP, FRAME.right, FRAME.top)
+    checks = [check for check in moulding_checks(lens) if check.element == element.index + 1]
     # Width of the panel with formula and sags of one surface.
     panel_mm = 62.0
     view_area = upper._replace(right=upper.right - panel_mm * len(aspheric))
+    list_area = Area(view_area.left + 2.0, view_area.bottom + 1.0, view_area.right - 4.0, view_area.top)
+    listed = moulding_lines(element, checks, list_area.width)
+    view_area = view_area._replace(bottom=view_area.bottom + len(listed) * LIST_LINE_MM)
     view = section_view(element, tolerances, view_area)
-    items: list[Item] = [frame(FRAME, THICK_MM), *view.items]
+    items: list[Item] = [frame(FRAME, THICK_MM), *view.items, *moulding_list(listed, list_area)]
     for k, i in enumerate(aspheric):
         left = view_area.right + panel_mm * k
         name = "Left surface (L)" if i == element.surfaces[0] else "Right surface (R)"
@@ -288,12 +296,13 @@ def _check_slopes(lens: Lens, sides: dict[int, SurfaceTolerances], aspheric: lis
         if side.slope is not None and index not in aspheric:
             raise InputError(
                 f"slope: surface {index + 1} is a {lens.surfaces[index].kind}; a slope tolerance is allowed "
-                "for conics, aspheres and biconics"
+                "for conics, aspheres, biconics and toroids"
             )
 
 
 def _mass_text(element: Element, density_g_per_cm3: float | None) -> str:
-    return "" if density_g_per_cm3 is None else f"{1e-3 * density_g_per_cm3 * element.volume_mm3:.4g} g"
+    volume_mm3 = element.volume_mm3 - element.gate_flat_volume_mm3
+    return "" if density_g_per_cm3 is None else f"{1e-3 * density_g_per_cm3 * volume_mm3:.4g} g"
 
 
 def _title_rows(

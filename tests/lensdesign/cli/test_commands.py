@@ -65,6 +65,34 @@ def test_check_of_a_lens_that_does(command: Command, feasible_design: Path) -> N
     assert json.loads(command("check", feasible_design, "--json")[1])["feasible"] is True
 
 
+def test_check_of_a_moulded_lens(command: Command, tmp_path: Path) -> None:
+    text = (DESIGNS / "phone_lens.toml").read_text()
+    path = tmp_path / "plain.toml"
+    path.write_text(text)
+    code, out, err = command("check", path)
+    assert (code, err) == (1, "")
+    assert "not met: element 1: centre to edge thickness ratio: 2.831 is greater than the largest" in out
+    assert "source 3: Optimax, Asphere limits, http://www.optimaxsi.com/" in out
+    assert out.count("no published limit is known for this material: set min_thickness_mm in [moulding]") == 1
+    assert "every constraint is met" not in out
+    code, out, err = command("check", path, "--no-moulding")
+    assert (code, err) == (0, "")
+    assert "Moulding" not in out
+    assert json.loads(command("check", path, "--no-moulding", "--json")[1])["moulding"] == []
+    code, out, err = command("check", path, "--json")
+    assert (code, err) == (1, "")
+    report = json.loads(out)
+    assert (report["feasible"], report["mouldable"]) == (True, False)
+    assert {row["check"] for row in report["moulding"] if row["met"] is False} == {"thickness_ratio"}
+    path.write_text(f"{text}\n[moulding]\nmax_thickness_ratio = 3.0\n")
+    code, out, err = command("check", path)
+    assert (code, err) == (0, "")
+    assert "source 3: [moulding] max_thickness_ratio\n" in out
+    assert "every constraint is met" in out
+    path.write_text(f"{text}\n[moulding]\nmax_thickness_ratio = 0.0\n")
+    assert_refused(command("check", path), "moulding, max_thickness_ratio = 0.0")
+
+
 def test_check_refuses_bad_designs(command: Command, paper_design: Path, tmp_path: Path) -> None:
     assert_refused(command("check", tmp_path / "none.toml"), "cannot read", "none.toml", "No such file")
     assert_refused(command("check", tmp_path), "Is a directory")
