@@ -387,7 +387,9 @@ def _edge_thickness(body: _Body, text: str) -> list[Item]:
 
 def _orientation_mark(body: _Body) -> Stroke:
     """Return a triangle on the edge that shows the orientation of a body without rotational symmetry."""
-    x, y = 0.5 * float(body.front[-1, 1] + body.back[-1, 1]), body.axis_y + body.outer
+    (front_r, front_x), (back_r, back_x) = body.front[-1], body.back[-1]
+    edge = body.outer if len(body.flange) else 0.5 * float(front_r + back_r)
+    x, y = 0.5 * float(front_x + back_x), body.axis_y + edge
     height, half = 2.4, 1.2
     return Stroke(((x, y), (x - half, y + height), (x + half, y + height)), 0.1, closed=True, filled=True)
 

@@ -13,6 +13,7 @@ from lensdesign.errors import DesignError
 from lensdesign.files.design import load_design, save_design
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.moulding import LIMITS, Moulding, plastic_family
+from lensdesign.optimization.specification.specification import load_specification
 
 
 @pytest.mark.parametrize(
@@ -97,6 +98,14 @@ def test_bad_settings_are_refused(tmp_path: Path, table: str, message: str) -> N
     path.write_text(f"{(DESIGNS / 'phone_lens.toml').read_text()}\n[moulding]\n{table}\n")
     with pytest.raises(DesignError, match=message):
         load_design(path)
+
+
+def test_a_specification_passes_its_settings_to_the_lens(tmp_path: Path) -> None:
+    path = tmp_path / "spec.toml"
+    text = (DESIGNS / "phone_lens_spec.toml").read_text()
+    path.write_text(f"{text}\n[moulding]\nmax_thickness_ratio = 3.0\n")
+    found = load_specification(path).lens
+    assert found.moulding == Moulding(max_thickness_ratio=3.0)
 
 
 def test_a_design_file_keeps_its_settings(paper_lens: Lens, tmp_path: Path) -> None:
