@@ -99,8 +99,11 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     surfaces = _surfaces(rows)
     missing = [name for name, value in values.items() if value is None]
     if missing:
+        image = ""
+        if "plane_distances_mm" in missing:
+            image = f" (its image lies {first_plane:g} mm behind the last surface, where no sensor can be)"
         raise InputError(
-            f"{source}: the file lacks {', '.join(missing)}; give these values together with the file"
+            f"{source}: the file lacks {', '.join(missing)}{image}; give these values together with the file"
         )
     _remark_automatic(rows, draft)
     lens = _lens(draft, values, surfaces, catalogs)
@@ -231,7 +234,10 @@ def _stored_pose(draft: Draft, axes: CoordinateBreak, pivot_mm: float) -> Pose |
 
 
 def _planes(draft: Draft, first_plane: float) -> tuple[float, ...] | None:
-    """Return the sensor planes: the image distance, and further planes from the file's comments."""
+    """Return the sensor planes: the image distance, and further planes from the file's comments.
+
+    None if the image does not lie behind the lens.
+    """
     stored = draft.notes.get("plane_distances_mm")
     if isinstance(stored, list) and stored:
         if _agrees(stored[0], first_plane):
@@ -240,7 +246,7 @@ def _planes(draft: Draft, first_plane: float) -> tuple[float, ...] | None:
             draft.dropped.append(
                 f"sensor planes {stored}: the image now lies {first_plane:g} mm behind the last surface"
             )
-    return (first_plane,)
+    return (first_plane,) if 0.0 < first_plane < math.inf else None
 
 
 def _surfaces(rows: Sequence[SurfaceRow]) -> list[dict[str, Any]]:

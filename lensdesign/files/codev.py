@@ -2,7 +2,8 @@
 
 The reader supports
 
-- DIM M; RDM with S lines of radius (after RDM N: curvature), thickness and glass; and RDY, CUY, THI and GLA;
+- lengths in mm, cm or inches (DIM), which become mm;
+- RDM with S lines of radius (after RDM N: curvature), thickness and glass; and RDY, CUY, THI and GLA;
 - the conic constant K and the asphere coefficients A to J (r^4 to r^20) of CON and ASP surfaces;
 - circular apertures CIR and the stop STO;
 - the system apertures NAO, NA, EPD and FNO (working F-number);
@@ -71,7 +72,7 @@ def read_seq(
     Parameters
     ----------
     path
-        A file of CODE V commands that define a lens, in mm: text in UTF-8, UTF-16 or Latin-1.
+        A file of CODE V commands that define a lens: text in UTF-8, UTF-16 or Latin-1.
     supplement
         Values that a design needs and the file lacks (default: none). Files of :func:`write_seq` need no
         supplement, because their comments hold these values.
@@ -152,6 +153,8 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
         glass_before = surface.glass
     if reader.surfaces:
         draft.check_object_and_image()
+    if reader.unit_mm != 1.0:
+        draft.scale_lengths(reader.unit_mm)
     return draft
 
 
@@ -281,6 +284,18 @@ PIM PIY PIX UMY UMX UCY UCX HMY HMX HCY HCX IMY IMX ICY ICX AMY ACY CMY EFY PIK 
 _SOLVES = frozenset(_SOLVE_WORDS.split())
 
 
+# What commands describe that a design cannot represent.
+_LOST = {
+    "rectangular aperture": "REX REY REC",
+    "elliptical aperture": "ELX ELY ELL",
+    "decentered aperture": "ADX ADY ARO",
+    "diffractive surface": "DIF GRT GRO GRS GRX GRY GRZ HOE HOR HWL HCT HCO HCC HTO",
+    "cylinder, toroid or anamorphic asphere": "CYL XTO YTO AAS RDX CUX KX KY",
+    "surface given by a table or a program": "SPL SPS SCO UDS UD1 UD2 UD3 FRE FRN NUR",
+    "gradient index": "GRI GRN URN UDG",
+}
+
+
 @dataclass
 class FileSurface:
     """Values of one surface, collected from its commands; `kind` is SO, S or SI.
@@ -322,6 +337,7 @@ class FileReader:
     reference: int = 1
     heights: dict[str, list[float]] = field(default_factory=dict)
     gives_radii: bool | None = None
+    unit_mm: float = 1.0
     in_private_block: bool = False
     private_glasses: dict[str, PrivateGlass] = field(default_factory=dict)
     private_wavelengths_nm: tuple[str, ...] = ()
@@ -388,7 +404,8 @@ def read_command(reader: FileReader, words: list[str], location: str) -> None:
         reader.draft.add_remark(f"{name}: {word} solve replaced by its present value")
     elif word not in _IDLE:
         name = reader.surfaces[-1].name if reader.surfaces else location.rpartition(", ")[2]
-        reader.draft.add_loss(f"{name}: {quoted(' '.join(words))}")
+        kind = next((f"{text}, " for text, keys in _LOST.items() if word in keys.split()), "")
+        reader.draft.add_loss(f"{name}: {kind}{quoted(' '.join(words))}")
 
 
 def _known(word: str) -> bool:
@@ -525,7 +542,7 @@ def _thickness(reader: FileReader, surface: FileSurface, word: str, values: list
 def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
     if not values:
         raise InputError(f"{location}: a glass without its name")
-    surface.glass, surface.glass_location = values[0].strip("'\""), location
+    surface.glass, surface.glass_location = values[0].strip("'\""), f"{location} ({surface.name})"
 
 
 def _conic(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
@@ -589,9 +606,19 @@ def _mode(reader: FileReader, values: list[str], location: str) -> None:
     reader.gives_radii = not values or not values[0].upper().startswith("N")
 
 
+UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
+"""Length in mm of each unit of a .seq file."""
+
+
 def _dimension(reader: FileReader, values: list[str], location: str) -> None:
-    if not values or values[0].upper() not in ("M", "MM"):
-        raise InputError(f"{location}: DIM {quoted(' '.join(values))}; only lengths in mm (M) can be read")
+    unit = values[0].upper() if values else ""
+    if unit not in UNITS_MM:
+        raise InputError(
+            f"{location}: DIM {quoted(' '.join(values))}; lengths must be in mm (M), cm (C) or inches (I)"
+        )
+    reader.unit_mm = UNITS_MM[unit]
+    if reader.unit_mm != 1.0:
+        reader.draft.add_remark(f"lengths in {unit} converted to mm ({reader.unit_mm:g} mm each)")
 
 
 def _title(reader: FileReader, values: list[str], location: str) -> None:

@@ -14,7 +14,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Protocol
@@ -28,6 +28,7 @@ from lensdesign.lens.glass import get_material, list_glasses, normalized_name
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.shapes.even_asphere import EvenAsphere
 
 MAX_SURFACES = 1000
 
@@ -37,8 +38,19 @@ NOTE = "transferlens"
 SEARCHED_MAKERS = ("SCHOTT", "OHARA", "HOYA", "CORNING", "HIKARI", "SUMITA", "CDGM")
 """Glass catalogues in the order in which they are searched if a file names none."""
 
+GLASS_MAKERS = (*SEARCHED_MAKERS, "LZOS")
+"""Makers of glass; several use the names of Schott's former glasses for glasses of their own."""
+
 MAKERS_WITH_OTHER_NAMES = ("CDGM", "LZOS")
 """Makers whose names without a hyphen denote other glasses than those of Schott (F7: 1.636, not 1.625)."""
+
+_REPLACED = "BAK1 BAK2 BK7 BK10 FK5 FK51 K5 LAF3 LAK8 LAK9 LAK21 PSK3 SK2 SK5 SK11 SK14 SK16"
+
+REPLACED_SCHOTT_GLASSES = frozenset(_REPLACED.split())
+"""Former glasses of Schott whose successors (N-BK7, ...) have the same dispersion formula.
+
+The coefficients of both are equal to all digits in Schott's catalogue in the AGF format of 2000 to 2005.
+"""
 
 TOLERANCE_MM = 1e-9
 
@@ -185,8 +197,8 @@ class SurfaceRow:
     """A surface of a file; the object comes first and the image last.
 
     If `axes` is given, the row is a coordinate break. `shape` holds the keys of a design file that describe
-    the shape, except radius and conic constant. `automatic_mm` is a semi-diameter that the other program
-    computed from rays; it does not clip.
+    the shape, except radius and conic constant, and `shape_class` is its class. `automatic_mm` is a
+    semi-diameter that the other program computed from rays; it does not clip.
     """
 
     name: str
@@ -200,6 +212,29 @@ class SurfaceRow:
     stop: bool = False
     axes: CoordinateBreak | None = None
     automatic_mm: float | None = None
+    shape_class: type[Shape] = EvenAsphere
+
+    def scaled(self, factor: float) -> SurfaceRow:
+        """Return the row with all lengths multiplied by a factor."""
+
+        def times(length: float | None) -> float | None:
+            return None if length is None else factor * length
+
+        keys = {"radius_mm": self.radius_mm, "conic": self.conic, "asphere": ()} | self.shape
+        keys |= self.shape_class.scaled_keys(keys, factor)
+        axes = self.axes
+        if axes is not None:
+            x, y = axes.decenter_mm
+            axes = replace(axes, decenter_mm=(factor * x, factor * y))
+        return replace(
+            self,
+            radius_mm=keys["radius_mm"],
+            shape={key: keys[key] for key in self.shape},
+            thickness_mm=factor * self.thickness_mm,
+            semi_diameter_mm=times(self.semi_diameter_mm),
+            automatic_mm=times(self.automatic_mm),
+            axes=axes,
+        )
 
 
 @dataclass
@@ -241,35 +276,54 @@ class Draft:
         if self.rows[0].material is not None:
             self.add_loss(f"{self.rows[0].name}: object in {self.rows[0].material}, read as air")
 
+    def scale_lengths(self, factor: float) -> None:
+        """Multiply all lengths by the length of the file's unit in mm."""
+        self.rows = [row.scaled(factor) for row in self.rows]
+        self.recorded = [
+            replace(s, curvature_per_mm=s.curvature_per_mm / factor, distance_mm=s.distance_mm * factor)
+            for s in self.recorded
+        ]
+        if self.aperture is not None and self.aperture[0] == "pupil_diameter_mm":
+            self.aperture = (self.aperture[0], self.aperture[1] * factor)
+        if self.half_field_mm is not None:
+            self.half_field_mm *= factor
+
     def set_field_heights(self, x_mm: Sequence[float], y_mm: Sequence[float]) -> None:
         """Set the half field to the largest distance of these object points from the axis."""
         pairs = zip_longest(x_mm, y_mm, fillvalue=0.0)
         self.half_field_mm = max((math.hypot(*pair) for pair in pairs), default=None)
 
 
-def read_lines(path: str | os.PathLike[str]) -> list[str]:
+def read_lines(path: str | os.PathLike[str], binary_hint: str = "") -> list[str]:
     """Return the lines of a text file in UTF-8, UTF-16 (with or without a byte order mark) or Latin-1.
+
+    Parameters
+    ----------
+    path
+        The file.
+    binary_hint
+        What to do if the file is not a text file, for the message (default: no hint).
 
     Raises
     ------
     InputError
         If the file cannot be read, is larger than 20 MB, or is not a text file.
     """
-    text = _decode(read_input(path, LENS_FILE_BYTES), str(path))
+    not_text = "not a text file" + (f"; {binary_hint}" if binary_hint else "")
+    text = _decode(read_input(path, LENS_FILE_BYTES), str(path), not_text)
     if "\0" in text:
-        raise InputError(f"cannot read {path}: not a text file")
+        raise InputError(f"cannot read {path}: {not_text}")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def _decode(data: bytes, location: str) -> str:
+def _decode(data: bytes, location: str, not_text: str) -> str:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or data[1:2] == b"\0":
         marked = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         try:
             return data.decode("utf-16" if marked else "utf-16-le")
         except UnicodeDecodeError as error:
-            raise InputError(
-                f"cannot read {location}: the file starts as UTF-16 text, but is not valid UTF-16"
-            ) from error
+            reason = "the file starts as UTF-16 text, but is not valid UTF-16" if marked else not_text
+            raise InputError(f"cannot read {location}: {reason}") from error
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -428,19 +482,48 @@ def find_glass(
         Name as the file spells it. If a catalogue lacks this name, the only glass with the same letters and
         digits is used.
     makers
-        Catalogues that the file names, in their order.
+        Catalogues that the file names, in their order; none if the file does not name any.
     catalogs
         The user's own catalogue files.
     location
         File and line, for messages.
     remark
-        Called with a sentence if several catalogues have the glass, or if the catalogue has a note on it
-        (default: no remarks).
+        Called with a sentence if the glass is the successor of a former one, if several catalogues have the
+        glass, or if the catalogue has a note on it (default: no remarks).
 
     Raises
     ------
     MaterialError
-        If no catalogue has the glass. The reader never substitutes a similar glass.
+        If no catalogue has the glass, or only that of a maker whom the file does not name. The reader never
+        substitutes a similar glass.
+    """
+    makers = list(makers)
+    names_schott = not makers or any(maker.casefold() == "schott" for maker in makers)
+    found = _glass_of_catalogues(name, makers, catalogs, remark, names_schott)
+    if found is not None:
+        return found
+    maker = _maker_of(name, catalogs, location)
+    if makers and maker.upper() in GLASS_MAKERS:
+        named = ", ".join(dict.fromkeys(makers))
+        if "-" not in name:
+            raise MaterialError(
+                f"{location}: glass {quoted(name)} is not known from the catalogues that the file names "
+                f"({named}); that of {maker} may differ from it. Give a glass catalogue (AGF) that has it"
+            )
+        remark(f"glass {name} is that of {maker}; the file names the catalogues {named}")
+    return name
+
+
+def _glass_of_catalogues(
+    name: str,
+    makers: Sequence[str],
+    catalogs: Sequence[Path],
+    remark: Callable[[str], None],
+    names_schott: bool,
+) -> str | None:
+    """Return the glass of the user's own catalogues or those of the makers; None if they lack it.
+
+    If `names_schott` is True, a former glass of Schott is read as its successor.
     """
     listed = list_glasses(catalogs)
     own = list(dict.fromkeys(path.name for path in catalogs))
@@ -449,6 +532,8 @@ def find_glass(
         known.setdefault(catalog.casefold().removesuffix(".agf"), catalog)
     named = [known[key] for maker in makers if (key := maker.casefold().removesuffix(".agf")) in known]
     for catalog in dict.fromkeys([*(c for c in named if c in own), *own, *named]):
+        if catalog not in own and names_schott and name.upper() in REPLACED_SCHOTT_GLASSES:
+            break
         alike = [n for n, c in listed if c == catalog and normalized_name(n) == normalized_name(name)]
         exact = [n for n in alike if n.casefold() == name.casefold()] or alike
         if len(exact) == 1:
@@ -461,11 +546,19 @@ def find_glass(
                     remark(f"glass {name} is that of {catalog}, not of {' or '.join(sorted(others))}")
             _remark_notes(found, catalogs, remark)
             return found
+    if names_schott and name.upper() in REPLACED_SCHOTT_GLASSES:
+        successor = f"N-{name.upper()}"
+        remark(f"glass {name} is read as {successor}, its successor with the same dispersion formula")
+        return _shortest_name(successor, "Schott", catalogs)
+    return None
+
+
+def _maker_of(name: str, catalogs: Sequence[Path], location: str) -> str:
     try:
-        get_material(name, catalogs)
+        return get_material(name, catalogs).catalog
     except MaterialError as error:
-        raise MaterialError(f"{location}: {error}") from error
-    return name
+        advice = " Or give" if str(error).endswith("?") else "; give"
+        raise MaterialError(f"{location}: {error}{advice} a glass catalogue (AGF) that has it") from error
 
 
 def find_glass_of_unknown_maker(
@@ -485,8 +578,8 @@ def find_glass_of_unknown_maker(
     MaterialError
         If no catalogue has the glass, or only that of a maker who uses such names for other glasses.
     """
-    found = find_glass(name, SEARCHED_MAKERS, catalogs, location, remark)
-    maker = get_material(found, catalogs).catalog
+    found = _glass_of_catalogues(name, SEARCHED_MAKERS, catalogs, remark, True) or name
+    maker = _maker_of(found, catalogs, location)
     if maker in {path.name for path in catalogs}:
         return found
     if maker.upper() in MAKERS_WITH_OTHER_NAMES and "-" not in found:

@@ -40,6 +40,13 @@ LENS_FORMATS = {
     ".len": LensFormat("OSLO", "read_len"),
 }
 
+ARCHIVES = {
+    ".zar": "an archive of Zemax OpticStudio; unpack it, and import the .zmx file in it",
+    ".zos": "a binary file of Zemax OpticStudio; save it there as .zmx",
+    ".zmf": "a binary catalogue of Zemax OpticStudio; save each lens there as .zmx",
+}
+"""Files of other programs that are not text, by suffix: what they are, and what to do."""
+
 WRITTEN_LENS_FORMATS = {suffix: of for suffix, of in LENS_FORMATS.items() if of.writer is not None}
 """Formats that are also written."""
 
@@ -103,6 +110,8 @@ def write_lens_file(lens: Lens, path: str | os.PathLike[str]) -> None:
 
 def _format_of(path: str | os.PathLike[str], verb: str, formats: Mapping[str, LensFormat]) -> LensFormat:
     suffix = Path(path).suffix.lower()
+    if suffix in ARCHIVES:
+        raise InputError(f"cannot {verb} {path}: {ARCHIVES[suffix]}")
     if suffix not in formats:
         raise InputError(f"cannot {verb} {path}: the name must end in {' or '.join(formats)}")
     return formats[suffix]

@@ -97,7 +97,8 @@ def read_len(
     """
     supplement = supplement or Supplement()
     reader = FileReader(Draft(source=str(path)))
-    for count, words in commands(read_lines(path), str(path)):
+    lines = read_lines(path, "CODE V's own lens files end in .len, too: save such a lens there as .seq")
+    for count, words in commands(lines, str(path)):
         _read_command(reader, words, f"{path}, line {count}")
     _check_complete(reader)
     _set_stop(reader)
@@ -372,7 +373,8 @@ def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str
     _note_given(surface, "medium", word, location)
     if not values:
         raise InputError(f"{location}: GLA without a glass")
-    surface.glass, surface.glass_location = tuple(v.strip('"') for v in values), location
+    surface.glass = tuple(v.strip('"') for v in values)
+    surface.glass_location = f"{location} ({surface.name})"
     surface.glass_wavelengths_um = tuple(reader.wavelengths_um)
 
 

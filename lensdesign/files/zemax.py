@@ -4,12 +4,14 @@ The reader supports
 
 - the surface types that the shapes of :mod:`lensdesign.lens.shapes` declare, with curvature, conic constant,
   parameters, thickness, glass, fixed semi-diameter, circular aperture and stop;
+- lengths in mm, cm, inches or m (UNIT), which become mm;
 - the system apertures ENPD, FNUM, OBNA and FLOA, which determine the semi-diameter of the stop;
 - object heights, and wavelengths (the primary one comes first);
 - one pair of coordinate breaks, which becomes the pose of the whole lens.
 
 It ignores records that do not describe the lens: weights, the merit function, settings of analyses and
-drawings. Every other record that a design cannot represent is reported as a loss.
+drawings. Coatings are omitted with a remark. Every other record that a design cannot represent is reported
+as a loss.
 
 The format has no public specification. The meaning of the records follows the OpticStudio user's manual
 (Ansys Zemax) and files that lens makers publish.
@@ -67,7 +69,7 @@ def read_zmx(
     Parameters
     ----------
     path
-        A sequential OpticStudio file: text in UTF-16, UTF-8 or Latin-1, lengths in mm.
+        A sequential OpticStudio file: text in UTF-16, UTF-8 or Latin-1.
     supplement
         Values that a design needs and the file lacks (default: none). Files of :func:`write_zmx` need no
         supplement, because their notes hold these values.
@@ -126,6 +128,9 @@ def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> D
     draft = reader.draft
     stored = draft.notes.get("title")
     draft.title = stored if isinstance(stored, str) and plain_title(stored) == reader.name else reader.name
+    for i, wavelength_um in reader.listed_wavelengths_um.items():
+        if i <= (reader.wavelength_count or 0):
+            reader.wavelengths_um.setdefault(i, wavelength_um)
     numbers = sorted(reader.wavelengths_um)[: reader.wavelength_count]
     if reader.primary in numbers:
         numbers.sort(key=lambda n: n != reader.primary)
@@ -140,6 +145,8 @@ def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> D
     if reader.surfaces:
         draft.check_object_and_image()
     draft.recorded = _recorded(lines, reader, supplement)
+    if reader.unit_mm != 1.0:
+        draft.scale_lengths(reader.unit_mm)
     return draft
 
 
@@ -151,8 +158,10 @@ def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> l
         word = word.upper()
         if word == "SURF":
             blocks.append({})
-        elif blocks and word in ("TYPE", "CURV", "DISZ", "GLAS", "STOP"):
+        elif blocks and word in ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "STOP"):
             blocks[-1].setdefault(word, values)
+        elif blocks and word == "PARM" and values[:1] == ["1"]:
+            blocks[-1].setdefault("PARM 1", values[1:])
     recorded: list[RecordedSurface] = []
     for block, row, surface in zip(blocks, reader.draft.rows, reader.surfaces, strict=True):
         glass = tuple(block.get("GLAS", ()))
@@ -163,9 +172,13 @@ def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> l
         )
         if block.get("TYPE", [""])[:1] == ["COORDBRK"]:
             material = recorded[-1].material if recorded else None
+        curvature = parse_number(block.get("CURV", ["0"])[0], surface.location)
+        conic = parse_number(block.get("CONI", ["0"])[0], surface.location)
+        if block.get("TYPE", [""])[:1] == ["EVENASPH"] and (not curvature or conic == -1.0):
+            curvature += 2.0 * parse_number(block.get("PARM 1", ["0"])[0], surface.location)
         recorded.append(
             RecordedSurface(
-                parse_number(block.get("CURV", ["0"])[0], surface.location),
+                curvature,
                 _parse_distance(block.get("DISZ", ["0"])[0], surface.location),
                 material,
                 "STOP" in block,
@@ -183,23 +196,62 @@ def _row(reader: FileReader, surface: FileSurface, stored: Any, supplement: Supp
         x, y, a, b, c, order = (surface.terms.get(i, 0.0) for i in range(1, 7))
         axes = CoordinateBreak((x, y), (a, b, c), order != 0.0)
         return SurfaceRow(surface.name, surface.location, thickness_mm=surface.thickness_mm, axes=axes)
-    shape, keys = shape_of_type(surface.kind, surface.terms) or (Conic, {})
-    held = shape.of_keys({"radius_mm": surface.radius_mm, "conic": surface.conic} | keys).zemax()[1]
-    for i, value in sorted(surface.terms.items()):
-        if value != held.get(i, 0.0):
-            reader.draft.add_loss(f"{surface.name}: {shape.ZEMAX_LOST.get(i, f'PARM {i}')} of {value:g}")
+    radius, conic, terms = _with_quadratic_term(reader, surface)
+    shape, keys = shape_of_type(surface.kind, terms) or (Conic, {})
+    held = shape.of_keys({"radius_mm": radius, "conic": conic} | keys).zemax()[1]
+    if _is_supported(surface.kind):
+        for i, value in sorted(terms.items()):
+            if value != held.get(i, 0.0):
+                reader.draft.add_loss(f"{surface.name}: {shape.ZEMAX_LOST.get(i, f'PARM {i}')} of {value:g}")
+        _check_extra_terms(reader, surface)
     return SurfaceRow(
         surface.name,
         surface.location,
-        surface.radius_mm,
-        surface.conic,
+        radius,
+        conic,
         keys,
         surface.thickness_mm,
         _material(reader, surface, stored, supplement),
         surface.aperture_mm or surface.semi_diameter_mm,
         surface.stop,
         automatic_mm=None if surface.aperture_mm else surface.automatic_mm,
+        shape_class=shape,
     )
+
+
+def _with_quadratic_term(
+    reader: FileReader, surface: FileSurface
+) -> tuple[float | None, float, dict[int, float]]:
+    """Return radius, conic constant and parameters without a term in r^2 of an even asphere, if possible.
+
+    A term a r^2 beside a paraboloid or a plane is part of a paraboloid with the curvature c + 2 a.
+    """
+    quadratic = surface.terms.get(1, 0.0)
+    is_parabola = surface.radius_mm is None or surface.conic == -1.0
+    if surface.kind != "EVENASPH" or not quadratic or not is_parabola:
+        return surface.radius_mm, surface.conic, surface.terms
+    curvature = 2.0 * quadratic + (0.0 if surface.radius_mm is None else 1.0 / surface.radius_mm)
+    radius = 1.0 / curvature if curvature else None
+    reader.draft.add_remark(
+        f"{surface.name}: the term in r^2 of {quadratic:g} is part of the paraboloid, whose curvature is "
+        f"{curvature:.8g}"
+    )
+    return radius, -1.0, {i: value for i, value in surface.terms.items() if i != 1}
+
+
+def _check_extra_terms(reader: FileReader, surface: FileSurface) -> None:
+    """Add a loss if the extra data of a surface describe a departure from its shape.
+
+    Those of a toroid are the number of Zernike terms, the radius of normalization, and the coefficients.
+    """
+    terms = surface.extra_terms
+    if surface.kind == "TOROIDAL":
+        count = int(terms.get(1, 0.0))
+        terms = {i: value for i, value in terms.items() if 3 <= i < 3 + count}
+    lost = [f"XDAT {i} of {value:g}" for i, value in sorted(terms.items()) if value]
+    if lost:
+        name = "Zernike terms of the toroid, " if surface.kind == "TOROIDAL" else ""
+        reader.draft.add_loss(f"{surface.name}: {name}{', '.join(lost)}")
 
 
 def _material(
@@ -219,6 +271,11 @@ def _material(
         if abbe:
             reader.draft.add_loss(f"{surface.name}: dispersion of the model glass (Abbe number {abbe:g})")
         return index
+    if name.isdecimal() and len(name) == 6:
+        reader.draft.add_loss(
+            f"{surface.name}: dispersion of the glass number {name} (Abbe number {int(name[3:]) / 10:g})"
+        )
+        return 1.0 + int(name[:3]) / 1000
     if kind > 1:
         reader.draft.add_remark(f"{surface.name}: solve or pickup of the glass replaced by its present value")
     if isinstance(stored, str) and _token(stored) == name:
@@ -264,22 +321,61 @@ def _remark_catalogues(reader: FileReader, surface_name: str, found: str, supple
 # With 25 digits a radius survives the conversion to a curvature and back without loss.
 EXACT = Context(prec=25)
 
-# Records of analyses, drawings, weights, polarization, authors and comments. They do not describe the lens.
+# Records of analyses, drawings, weights, variables, polarization, authors and comments, expansions by heat
+# (TCED), and points of an aperture that USAP names (UDAD). They do not describe the lens at 20 degrees C.
 _IDLE_WORDS = """
 VERS PFIL LANG DBDT GFAC GLRS GSTD NSCD COFN RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS LUID FWGN FWGT WWGT WWGN
 MNCA MNEA MNCG MNEG MXCA MXCG RWRE ROTA BLNK TOL TOLE MOFF FCOM COMM HIDE MIRR SLAB POPS MEMA OEMA FIMP CONF
-SCBD TBTP RSCE RWCE VDSZ VPAR AUTH IWDP EERA SSID STUD
+SCBD TBTP RSCE RWCE VDSZ VPAR VCON AUTH IWDP EERA SSID STUD SCOL BOOK CSUM FENF TCED UDAD
 """
 _IDLE = frozenset(_IDLE_WORDS.split())
+
+
+# Apertures that a design cannot represent; its surfaces end in circles.
+_APERTURES = {
+    "SQAP": "rectangular aperture",
+    "ELAP": "elliptical aperture",
+    "OBSC": "circular obscuration",
+    "SQOB": "rectangular obscuration",
+    "ELOB": "elliptical obscuration",
+    "SPID": "spider",
+    "USAP": "aperture drawn by the user",
+    "USOB": "obscuration drawn by the user",
+}
+
+# Surface types that no shape declares, by the start of their names.
+_SURFACE_TYPES = {
+    "BINARY_": "diffractive phase",
+    "BIRE_": "birefringent medium",
+    "DGRATING": "diffraction grating",
+    "EGRATING": "diffraction grating",
+    "FRESNEL": "Fresnel surface",
+    "FZERNPHA": "Zernike phase",
+    "FZERNSAG": "Zernike sag",
+    "GRID_": "values on a grid",
+    "GRINSU": "gradient index",
+    "HOLOGRM": "hologram",
+    "IRREGUL": "irregular surface",
+    "JONESMAT": "Jones matrix",
+    "NONSEQ": "components in the order in which rays meet them",
+    "PARAX": "ideal thin lens",
+    "QED_TYPE": "Forbes polynomials",
+    "SZERNSAG": "Zernike sag",
+    "TILTSURF": "tilted plane",
+    "TOROGRAT": "diffraction grating",
+    "USERSURF": "program of the user",
+    "VLSGRAT": "diffraction grating",
+    "XPOLYNOM": "polynomial in x and y",
+}
 
 
 @dataclass
 class FileSurface:
     """Values of one surface, collected from its records.
 
-    `terms` maps a parameter number (PARM) to its value. `automatic_mm` is a semi-diameter that OpticStudio
-    computed from rays; it is not an aperture. `first_records` holds values and location of each record that
-    may occur only once.
+    `terms` maps a parameter number (PARM) to its value, `extra_terms` that of extra data (XDAT).
+    `automatic_mm` is a semi-diameter that OpticStudio computed from rays; it is not an aperture.
+    `first_records` holds values and location of each record that may occur only once.
     """
 
     name: str
@@ -295,6 +391,7 @@ class FileSurface:
     aperture_mm: float | None = None
     stop: bool = False
     terms: dict[int, float] = field(default_factory=dict)
+    extra_terms: dict[int, float] = field(default_factory=dict)
     first_records: dict[str, tuple[list[str], str]] = field(default_factory=dict)
 
 
@@ -302,8 +399,9 @@ class FileSurface:
 class FileReader:
     """State of the reader of one file.
 
-    `wavelengths_um` maps the number of a wavelength to its value. `trailing_records` holds unknown records
-    behind the last surface; they become losses if another surface follows.
+    `wavelengths_um` maps the number of a wavelength to its value. `listed_wavelengths_um` does the same for
+    an old record, whose entries beyond the number of wavelengths are void. `trailing_records` holds unknown
+    records behind the last surface; they become losses if another surface follows.
     """
 
     draft: Draft
@@ -311,8 +409,10 @@ class FileReader:
     makers: list[str] = field(default_factory=list)
     catalogues: list[str] = field(default_factory=list)
     wavelengths_um: dict[int, float] = field(default_factory=dict)
+    listed_wavelengths_um: dict[int, float] = field(default_factory=dict)
     wavelength_count: int | None = None
     primary: int = 1
+    unit_mm: float = 1.0
     field_kind: int = 0
     field_count: int | None = None
     heights: dict[str, list[float]] = field(default_factory=dict)
@@ -362,8 +462,17 @@ def read_record(reader: FileReader, word: str, values: list[str], location: str,
         reader.in_trailing_block = True
     elif word in _IDLE:
         return
+    elif surface is None and word.startswith("FSV"):
+        reader.draft.add_remark(
+            f"{word} {quoted(' '.join(values))} ({line}): field solve replaced by its value"
+        )
     elif surface is None:
         reader.draft.add_loss(f"{word} {quoted(' '.join(values))} ({line})")
+    elif word in _APERTURES:
+        _drop_trailing_records(reader)
+        reader.draft.add_loss(f"{surface.name}: {_APERTURES[word]}, {word} {quoted(' '.join(values))}")
+    elif indented and not _is_supported(surface.kind) and not reader.in_trailing_block:
+        return  # data of a surface type whose name is a loss already
     elif word in SOLVES and not reader.in_trailing_block:
         reader.draft.add_remark(f"{surface.name}: {word} solve or pickup replaced by its present value")
     elif reader.in_trailing_block or not indented:
@@ -429,8 +538,14 @@ def integer_at(values: Sequence[str], index: int, location: str) -> int:
 
 def _type(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
     surface.kind = values[0] if values else ""
-    if surface.kind != "COORDBRK" and shape_of_type(surface.kind, {}) is None:
-        reader.draft.add_loss(f"{surface.name}: surface type {quoted(surface.kind)}, read as STANDARD")
+    if not _is_supported(surface.kind):
+        known = (text for start, text in _SURFACE_TYPES.items() if surface.kind.startswith(start))
+        words = "".join(f" ({text})" for text in known)
+        reader.draft.add_loss(f"{surface.name}: surface type {quoted(surface.kind)}{words}, read as STANDARD")
+
+
+def _is_supported(kind: str) -> bool:
+    return kind == "COORDBRK" or shape_of_type(kind, {}) is not None
 
 
 def shape_of_type(kind: str, parameters: Mapping[int, float]) -> tuple[type[Shape], dict[str, Any]] | None:
@@ -460,7 +575,7 @@ def _distance(reader: FileReader, surface: FileSurface, values: list[str], locat
 def _glass(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
     if not values:
         raise InputError(f"{location}: GLAS without a name")
-    surface.glass, surface.glass_location = tuple(values), location
+    surface.glass, surface.glass_location = tuple(values), f"{location} ({surface.name})"
 
 
 def _diameter(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
@@ -493,12 +608,22 @@ def _shift(reader: FileReader, surface: FileSurface, values: list[str], location
         reader.draft.add_loss(f"{surface.name}: decentered aperture")
 
 
+def _coating(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    reader.draft.add_remark(
+        f"{surface.name}: coating {quoted(' '.join(values))} omitted; it does not change the paths of rays"
+    )
+
+
 def _stop(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
     surface.stop = True
 
 
 def _parameter(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
     surface.terms[integer_at(values, 0, location)] = value_at(values, 1, location)
+
+
+def _extra_term(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    surface.extra_terms[integer_at(values, 0, location)] = value_at(values, 1, location)
 
 
 _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, list[str], str], None]] = {
@@ -513,6 +638,8 @@ _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, list[str], str], None]
     "OBDC": _shift,
     "STOP": _stop,
     "PARM": _parameter,
+    "XDAT": _extra_term,
+    "COAT": _coating,
 }
 
 
@@ -523,9 +650,18 @@ def _mode(reader: FileReader, values: list[str], location: str) -> None:
         )
 
 
+UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
+"""Length in mm of each unit of a .zmx file."""
+
+
 def _unit(reader: FileReader, values: list[str], location: str) -> None:
-    if not values or values[0] != "MM":
-        raise InputError(f"{location}: UNIT {quoted(' '.join(values[:1]))}; only lengths in MM can be read")
+    if not values or values[0] not in UNITS_MM:
+        raise InputError(
+            f"{location}: UNIT {quoted(' '.join(values[:1]))}; lengths must be in {', '.join(UNITS_MM)}"
+        )
+    reader.unit_mm = UNITS_MM[values[0]]
+    if reader.unit_mm != 1.0:
+        reader.draft.add_remark(f"lengths in {values[0]} converted to mm ({reader.unit_mm:g} mm each)")
 
 
 def _set_aperture(reader: FileReader, kind: str, value: float, location: str) -> None:
@@ -569,12 +705,25 @@ def _field_type(reader: FileReader, values: list[str], location: str) -> None:
         )
 
 
+def _further_field(reader: FileReader, values: list[str], location: str) -> None:
+    """Read a field behind the twelfth one: x, y, weight and vignetting factors."""
+    listed = [reader.heights.setdefault(axis, []) for axis in "xy"]
+    count = max(map(len, listed))
+    for index, heights in enumerate(listed):
+        heights += [0.0] * (count - len(heights)) + [value_at(values, index, location)]
+    read_vignetting(reader, values[3:], location)
+
+
 def _wave(reader: FileReader, values: list[str], location: str) -> None:
     reader.wavelengths_um[integer_at(values, 0, location)] = value_at(values, 1, location)
 
 
 def _waves(reader: FileReader, values: list[str], location: str) -> None:
     reader.wavelengths_um = {i: parse_number(v, location) for i, v in enumerate(values, start=1)}
+
+
+def _listed_waves(reader: FileReader, values: list[str], location: str) -> None:
+    reader.listed_wavelengths_um = {i: parse_number(v, location) for i, v in enumerate(values, start=1)}
 
 
 def _primary(reader: FileReader, values: list[str], location: str) -> None:
@@ -616,10 +765,12 @@ _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
     "XFLD": field_height_reader("x"),
     "YFLD": field_height_reader("y"),
     **dict.fromkeys(
-        ("VDXN", "VDYN", "VCXN", "VCYN", "VANN", "ZVDX", "ZVDY", "ZVCX", "ZVCY"), read_vignetting
+        ("VDXN", "VDYN", "VCXN", "VCYN", "VANN", "ZVDX", "ZVDY", "ZVCX", "ZVCY", "ZVAN"), read_vignetting
     ),
+    "FEFD": _further_field,
     "WAVM": _wave,
     "WAVL": _waves,
+    "WAVN": _listed_waves,
     "PWAV": _primary,
     "GCAT": _catalogues,
     "ENVD": _environment,

@@ -21,8 +21,8 @@ from lensdesign.lens.glass import is_air
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
 
-# Losses that do not change the glass: coatings, and the light that the vendor assumed.
-_NOT_OF_THE_GLASS = re.compile(r"surface \d+: COAT |vignetting factors|telecentric object space")
+# Losses that do not change the glass: the light that the vendor assumed.
+_NOT_OF_THE_GLASS = re.compile(r"vignetting factors|telecentric object space")
 
 
 def find_vendor_files(folder: Path) -> tuple[list[Path], list[tuple[str, str]]]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from places import GOLDEN
 
-from lensdesign import InputError, Lens, MaterialError, Pose
+from lensdesign import InputError, Lens, MaterialError, Pose, scaled
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.files.codev import read_seq, write_seq
@@ -189,11 +189,11 @@ LOSSES = [
     ("F2_SCHOTT", "620040.363700", "surface 3: dispersion"),
     ("F2_SCHOTT", "1.62004:36.37", "surface 3: dispersion"),
     ("F2_SCHOTT", "'MINE'\nPRV\nPWL 650 550 480\n'MINE' 1.61 1.62 1.63\nEND", r"dispersion.*MINE"),
-    ("CIR 5.0", "CIR 5.0; REX 5.0", "surface 4: 'REX 5.0'"),
+    ("CIR 5.0", "CIR 5.0; REX 5.0", "surface 4: rectangular aperture, 'REX 5.0'"),
     ("CIR 5.0", "CIR 5.0; CIR OBS 1.0", "surface 4: aperture CIR 'OBS 1.0'"),
     ("CIR 5.0", "CIR 5.0; XDE 0.1; DAR", "surface 4: coordinate break that is not a pose"),
     ("CIR 5.0", "CIR 5.0; ADE 45; BEN", "surface 4: BEN"),
-    ("CIR 5.0", "CIR 5.0; DIF GRT", "surface 4: 'DIF GRT'"),
+    ("CIR 5.0", "CIR 5.0; DIF GRT", "surface 4: diffractive surface, 'DIF GRT'"),
     ("VUX   0.0", "VUX   0.1", "vignetting factors"),
     ("SI    0.0", "SI    99.0", "surface 7: curved image surface"),
     ("DOR", "ZOO 3; DOR", "line 15: 'ZOO 3'"),
@@ -216,7 +216,7 @@ def test_what_would_be_lost_is_listed(tmp_path: Path, old: str, new: str, messag
 
 
 FAULTS = [
-    ("DIM   M", "DIM   I", "line 4: DIM 'I'"),
+    ("DIM   M", "DIM   F", r"line 4: DIM 'F'; lengths must be in mm \(M\), cm \(C\) or inches \(I\)"),
     ("RDM;LEN", "LEN", "line 17: '22.01359' may be a radius or a curvature"),
     ("22.01359", "22.o1359", "line 17: '22.o1359' must be a finite number"),
     ("22.01359", "nan", "'nan' must be"),
@@ -425,3 +425,25 @@ def test_names_that_only_other_makers_use_are_refused(tmp_path: Path) -> None:
         read_seq(saved(tmp_path, ASPHERE.replace("'NBK7_SCHOTT'", "F7")), SENSOR)
     named = read_seq(saved(tmp_path, ASPHERE.replace("'NBK7_SCHOTT'", "F7_CDGM")), SENSOR)
     assert named.lens.indices(0.5875618)[1] == pytest.approx(1.636, abs=1e-3)
+
+
+@pytest.mark.parametrize(("unit", "unit_mm"), [("C", 10.0), ("I", 25.4)])
+def test_lengths_in_other_units_become_mm(
+    tmp_path: Path, paper_lens: Lens, unit: str, unit_mm: float
+) -> None:
+    """Every length of the file is multiplied, the aperture angle and the wavelengths are not."""
+    write_seq(paper_lens, tmp_path / "mm.seq", Pose(decenter_y_mm=0.1))
+    text = (tmp_path / "mm.seq").read_text(encoding="utf-8")
+    kept = [line for line in text.splitlines() if not line.startswith("! transferlens")]
+    path = saved(tmp_path, "\n".join(kept).replace("DIM M", f"DIM {unit}"))
+    found = read_seq(path, Supplement(pixel_pitch_um=3.2, pixels=(1000, 800)))
+    assert f"lengths in {unit} converted to mm ({unit_mm:g} mm each)" in found.remarks
+    assert found.pose.decenter_y_mm == pytest.approx(0.1 * unit_mm)
+    assert found.lens.wavelengths_um == paper_lens.wavelengths_um
+    assert found.lens.object.numerical_aperture == paper_lens.object.numerical_aperture
+    assert found.lens.object.field_diameter_mm == pytest.approx(unit_mm * paper_lens.object.field_diameter_mm)
+    for surface, one in zip(found.lens.surfaces, scaled(paper_lens, unit_mm).surfaces, strict=True):
+        assert surface.radius_mm == pytest.approx(one.radius_mm, rel=1e-13)
+        assert surface.asphere == pytest.approx(one.asphere, rel=1e-13)
+        assert (surface.thickness_mm or 0.0) == pytest.approx(one.thickness_mm or 0.0, rel=1e-13)
+        assert surface.semi_diameter_mm == pytest.approx(one.semi_diameter_mm, rel=1e-13)

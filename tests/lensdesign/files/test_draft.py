@@ -166,6 +166,36 @@ def test_glasses_are_found_as_the_named_makers_have_them() -> None:
         find_glass("NBK7", [], (), "here")
 
 
+def test_former_glasses_of_schott_are_their_successors_with_the_same_formula() -> None:
+    remarks: list[str] = []
+    assert find_glass("BK7", ["SCHOTT"], (), "", remarks.append) == "N-BK7"
+    assert remarks == ["glass BK7 is read as N-BK7, its successor with the same dispersion formula"]
+    assert find_glass("SK16", [], (), "") == "N-SK16"
+    assert find_glass("SK16", ["HIKARI"], (), "") == "SK16"
+    with pytest.raises(MaterialError, match="unknown material 'BK7'"):
+        find_glass("BK7", ["SUMITA"], (), "")
+
+
+@pytest.mark.parametrize(
+    ("name", "maker"), [("BK10", None), ("F6", "CDGM"), ("BK8", "LZOS"), ("SK4", "Hikari")]
+)
+def test_glasses_of_makers_that_a_file_does_not_name_are_not_substituted(
+    name: str, maker: str | None
+) -> None:
+    """LZOS' BK10 has an index of 1.569, Schott's 1.498; F6, F7 and BK8 of other makers differ by 0.01."""
+    if maker is None:
+        assert find_glass(name, ["SCHOTT"], (), "") == "N-BK10"
+        return
+    with pytest.raises(MaterialError, match=rf"names \(SCHOTT, MISC\); that of {maker} may differ"):
+        find_glass(name, ["SCHOTT", "MISC"], (), "")
+
+
+def test_a_glass_with_a_maker_s_own_prefix_is_found_with_a_remark() -> None:
+    remarks: list[str] = []
+    assert find_glass("S-LAH64", ["SCHOTT"], (), "", remarks.append) == "S-LAH64"
+    assert remarks == ["glass S-LAH64 is that of Ohara; the file names the catalogues SCHOTT"]
+
+
 def test_one_lens_through_both_formats(tmp_path: Path, paper_lens: Lens) -> None:
     pose = Pose(0.1, -0.2, 0.3, 1.0, 2.0, 4.0)
     write_zmx(paper_lens, tmp_path / "a.zmx", pose)

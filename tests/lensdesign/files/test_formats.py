@@ -92,3 +92,9 @@ def test_what_no_file_of_the_format_can_hold_is_not_written(path: Path, paper_le
     with pytest.raises(MaterialError, match="unknown material"):
         write_lens_file(paper_lens.with_surface(0, material="N-BK77"), path)
     assert not path.exists()
+
+
+@pytest.mark.parametrize("suffix", [".zar", ".ZOS", ".zmf"])
+def test_files_that_are_not_text_are_refused_with_advice(tmp_path: Path, suffix: str) -> None:
+    with pytest.raises(InputError, match=r"Zemax OpticStudio; .*\.zmx"):
+        read_lens_file(tmp_path / f"lens{suffix}")

@@ -331,9 +331,9 @@ FAULTS = [
     ("GLA N-BK7", "GLA MOD M1", "model glass 'MOD M1' without an index"),
     ("GLA N-BK7", "GLA MOD 1.6 50", "has an index of 50; allowed is 1 to 10"),
     ("GLA N-BK7", "GLA 1.5 1.6", "has 2 indices, and there are 3 wavelengths"),
-    ("GLA N-BK7", "GLA N-BK77", "line 13: unknown material 'N-BK77'"),
+    ("GLA N-BK7", "GLA N-BK77", r"line 13 \(surface 1\): unknown material 'N-BK77'"),
     ("GLA N-BK7", "GLA H_LAF2", "the maker of the prefix H_ is not known"),
-    ("GLA N-BK7", "GLA F7", "line 13: glass 'F7' is known from CDGM alone"),
+    ("GLA N-BK7", "GLA F7", r"line 13 \(surface 1\): glass 'F7' is known from CDGM alone"),
     ("WV 0.58756\n", "WV 0\n", "a wavelength of 0 um"),
     ("WV 0.58756\n", "WV\n", "WV without a wavelength"),
     ("WV 0.58756\n", "WV9 0.5\n", "WV9, but there are 3 wavelengths"),
@@ -475,3 +475,10 @@ def hits_of(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
 
 def test_air_is_air_in_small_letters(tmp_path: Path) -> None:
     assert read(tmp_path, SAVED, "AIR\nTH   190.0", "GLA air\nTH   190.0").lens == read(tmp_path, SAVED).lens
+
+
+def test_a_binary_file_of_codev_is_refused_with_advice(tmp_path: Path) -> None:
+    path = tmp_path / "lens.len"
+    path.write_bytes(b"]\0\0\0X\0\0\0\xb0P\xd0 \xf0d;<New lens from CVMACRO:cvnewlens.seq" + b"\0\xd8" * 99)
+    with pytest.raises(InputError, match=r"not a text file; CODE V's own lens files end in \.len, too"):
+        read_len(path)

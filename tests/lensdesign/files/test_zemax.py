@@ -207,7 +207,7 @@ def test_the_rest_of_a_prescription(tmp_path: Path) -> None:
     lens = read_zmx(saved(tmp_path, COOKE), SUPPLEMENT).lens
     assert lens.title == "A SIMPLE COOKE TRIPLET."
     assert lens.wavelengths_um == (0.55, 0.48, 0.65)
-    assert [s.material for s in lens.surfaces] == ["SK16", None, "F2", None, "SK16", None]
+    assert [s.material for s in lens.surfaces] == ["N-SK16", None, "F2", None, "N-SK16", None]
     assert [s.thickness_mm for s in lens.surfaces] == [3.25896, 6.00755, 0.99997, 4.75041, 2.95208, None]
     assert lens.stop_index == 3
     asphere = read_zmx(saved(tmp_path, ACL2520), SUPPLEMENT).lens.surfaces[0]
@@ -335,9 +335,25 @@ def test_a_moved_image_takes_the_noted_planes_with_it_or_loses_them(tmp_path: Pa
 LOSSES = [
     ("GLAS N-BAF10", "GLAS MIRROR", "surface 1: mirror"),
     ("GLAS N-BAF10", "GLAS ___BLANK 1 0 1.67 47.1 0 0", "surface 1: dispersion"),
-    ("STOP", "COAT AR\r\n  STOP", "surface 1: COAT 'AR'"),
-    ("STOP", "TYPE DGRATING\r\n  STOP", "surface 1: surface type 'DGRATING', read as STANDARD"),
-    ("STOP", "SQAP 3 3\r\n  STOP", "surface 1: SQAP '3 3'"),
+    (
+        "STOP",
+        "TYPE DGRATING\r\n  STOP",
+        r"surface 1: surface type 'DGRATING' \(diffraction grating\), read as",
+    ),
+    ("STOP", "TYPE NURBS\r\n  STOP", "surface 1: surface type 'NURBS', read as STANDARD"),
+    ("STOP", "SQAP 3 3\r\n  STOP", "surface 1: rectangular aperture, SQAP '3 3'"),
+    ("STOP", "USAP 0 0\r\n  UDAD 1 0 0\r\n  STOP", "surface 1: aperture drawn by the user, USAP '0 0'"),
+    ("STOP", "TYPE EVENASPH\r\n  XDAT 1 2.0\r\n  STOP", "surface 1: XDAT 1 of 2"),
+    (
+        "STOP",
+        "TYPE TOROIDAL\r\n  XDAT 1 2\r\n  XDAT 2 100\r\n  XDAT 4 1e-3\r\n  STOP",
+        "surface 1: Zernike terms of the toroid, XDAT 4 of 0.001",
+    ),
+    (
+        "GLAS N-BAF10",
+        "GLAS 670471 0 0",
+        r"surface 1: dispersion of the glass number 670471 \(Abbe number 47.1",
+    ),
     ("STOP", "CLAP 1 3 0\r\n  STOP", "surface 1: central obscuration of radius 1"),
     ("STOP", "CLAP 0 3 0\r\n  OBDC 1 0\r\n  STOP", "surface 1: decentered aperture"),
     ("STOP", "TYPE EVENASPH\r\n  PARM 1 0.1\r\n  STOP", r"surface 1: asphere term in r\^2 of 0.1"),
@@ -366,7 +382,13 @@ def test_what_would_be_lost_is_listed(tmp_path: Path, old: str, new: str, messag
 
 FAULTS = [
     ("MODE SEQ", "MODE NSC", "line 3: MODE 'NSC'; only sequential"),
-    ("UNIT MM", "UNIT IN", "line 8: UNIT 'IN'; only lengths in MM"),
+    ("UNIT MM", "UNIT FEET", "line 8: UNIT 'FEET'; lengths must be in MM, CM, IN, METER"),
+    ("N-BAF10", "N-BAF10X", r"line 5\d \(surface 1\): .* Or give a glass catalogue \(AGF\) that has it"),
+    (
+        "N-BAF10",
+        "F7",
+        r"line 5\d \(surface 1\): glass 'F7' is not known from .* \(SCHOTT.*that of CDGM may differ",
+    ),
     ("DISZ 9.0", "DISZ 9,0", "line 50: '9,0' must be a finite number"),
     ("DISZ 9.0", "DISZ nan", "'nan' must be a finite number"),
     ("DISZ 9.0", "DISZ 1e999", "'1e999' must be"),
@@ -688,3 +710,112 @@ def test_a_strong_asphere_near_the_axis_raises_no_alarm(tmp_path: Path) -> None:
     assert result.lens.surfaces[0].asphere == (30.0,)
     assert result.first_order is not None
     assert result.first_order.efl_mm == pytest.approx(50.0 / 0.5194726, rel=1e-6)
+
+
+def test_coatings_are_omitted_with_a_remark(tmp_path: Path) -> None:
+    found = read_zmx(saved(tmp_path, AC254_050.replace("STOP", "COAT AR\r\n  STOP", 1)), SUPPLEMENT)
+    assert found.dropped == ()
+    assert "surface 1: coating 'AR' omitted; it does not change the paths of rays" in found.remarks
+
+
+@pytest.mark.parametrize(("unit", "unit_mm"), [("CM", 10.0), ("IN", 25.4), ("METER", 1000.0)])
+def test_lengths_in_other_units_become_mm(tmp_path: Path, unit: str, unit_mm: float) -> None:
+    """An asphere, its decenter and its object, in the unit and in mm: the same lens."""
+
+    def text(mm_each: float, name: str) -> str:
+        def unit_of(length_mm: float) -> str:
+            return repr(length_mm / mm_each)
+
+        front = (
+            "TYPE EVENASPH",
+            f"CURV {mm_each / 20.0!r}",
+            "STOP",
+            f"DISZ {unit_of(5.0)}",
+            "GLAS N-BK7",
+            f"DIAM {unit_of(4.0)} 1",
+            f"PARM 2 {1e-5 * mm_each**3!r}",
+            f"PARM 3 {1e-8 * mm_each**5!r}",
+        )
+        back = (f"CURV {mm_each / -30.0!r}", f"DISZ {unit_of(-5.0)}", f"DIAM {unit_of(4.5)} 1")
+        shift = ("TYPE COORDBRK", f"PARM 1 {unit_of(0.5)}", "DISZ 0.0")
+        unshift = ("TYPE COORDBRK", f"PARM 1 {unit_of(-0.5)}", "PARM 6 1", f"DISZ {unit_of(40.0)}")
+        whole = zmx_text("unit", 1.0, D, [shift, front, back, unshift])
+        return (
+            whole.replace("UNIT MM", f"UNIT {name}")
+            .replace("ENPD 1.0", f"ENPD {unit_of(6.0)}")
+            .replace("FTYP 0 0 1", "FTYP 1 0 1")
+            .replace("YFLN 0", f"YFLN {unit_of(2.0)}")
+            .replace("DISZ INFINITY", f"DISZ {unit_of(100.0)}", 1)
+        )
+
+    sensor = Supplement(pixel_pitch_um=3.2, pixels=(1000, 800))
+    expected = read_zmx(saved(tmp_path, text(1.0, "MM")), sensor)
+    found = read_zmx(saved(tmp_path, text(unit_mm, unit)), sensor)
+    assert f"lengths in {unit} converted to mm ({unit_mm:g} mm each)" in found.remarks
+    assert found.pose.decenter_x_mm == pytest.approx(0.5, rel=1e-12)
+    assert found.lens.object.field_diameter_mm == pytest.approx(4.0, rel=1e-12)
+    for a, b in zip(found.lens.surfaces, expected.lens.surfaces, strict=True):
+        assert a.radius_mm == pytest.approx(b.radius_mm, rel=1e-12)
+        assert (a.thickness_mm or 0.0) == pytest.approx(b.thickness_mm or 0.0, rel=1e-12)
+        assert a.semi_diameter_mm == pytest.approx(b.semi_diameter_mm, rel=1e-12)
+        assert a.asphere == pytest.approx(b.asphere, rel=1e-12)
+    assert found.lens.object.numerical_aperture == pytest.approx(
+        expected.lens.object.numerical_aperture, rel=1e-9
+    )
+
+
+def test_a_quadratic_term_beside_a_paraboloid_is_part_of_its_curvature(tmp_path: Path) -> None:
+    """Thorlabs' ACL3026 has c r^2 / 2 and 7.9e-6 r^2 with a conic constant of -1."""
+    old = "CONI -0.6265"
+    assert old in ACL2520
+    text = ACL2520.replace(old, "CONI -1.0").replace("PARM 1 0", "PARM 1 7.9E-6", 1)
+    found = read_zmx(saved(tmp_path, text), SUPPLEMENT)
+    surface_1 = found.lens.surfaces[0]
+    assert found.dropped == ()
+    assert surface_1.conic == -1.0
+    assert surface_1.radius_mm == pytest.approx(1.0 / (1.0 / 10.462 + 2.0 * 7.9e-6), rel=1e-14)
+    r = 8.0
+    sag = 0.5 * r**2 / 10.462 + 7.9e-6 * r**2 + 1.5e-5 * r**4
+    assert float(surface_1.shape.sag(r, 0.0)) == pytest.approx(sag, rel=1e-13)
+
+
+def test_a_quadratic_term_beside_another_conic_is_lost(tmp_path: Path) -> None:
+    path = saved(tmp_path, ACL2520.replace("PARM 1 0", "PARM 1 7.9E-6", 1))
+    with pytest.raises(LossyImportError, match=r"surface 1: asphere term in r\^2 of 7.9e-06"):
+        read_zmx(path, SUPPLEMENT)
+
+
+def test_cylinders_without_zernike_terms_are_read(tmp_path: Path) -> None:
+    """Thorlabs' cylinders state the number of Zernike terms (0) and their radius of normalization."""
+    extra = "TYPE TOROIDAL\r\n  XDAT 1 0.0 0 0\r\n  XDAT 2 1.0E+002 0 0\r\n  STOP"
+    found = read_zmx(saved(tmp_path, AC254_050.replace("STOP", extra, 1)), SUPPLEMENT)
+    assert found.lens.surfaces[0].shape.NAME == "toroid"
+    assert found.dropped == ()
+
+
+def test_the_data_of_an_unknown_surface_type_are_one_loss(tmp_path: Path) -> None:
+    old = "TYPE GRINSUR1\r\n  PARM 1 0.5\r\n  XDAT 3 1.0\r\n  NSCS 1 15 _NONE_\r\n  STOP"
+    path = saved(tmp_path, AC254_050.replace("STOP", old, 1))
+    with pytest.raises(LossyImportError) as caught:
+        read_zmx(path, SUPPLEMENT)
+    assert caught.value.dropped == ("surface 1: surface type 'GRINSUR1' (gradient index), read as STANDARD",)
+
+
+def test_records_of_old_versions_are_read(tmp_path: Path) -> None:
+    """WAVN lists wavelengths, void behind those that FTYP counts; FEFD holds fields behind the twelfth."""
+    text = AC254_050.replace("FTYP 0 0 1", "FTYP 1 0 14").replace("YFLN 0", "YFLN" + " 1.0" * 12)
+    text = text.replace(
+        "FWGN 1", "FWGN 1\r\nZVAN 0\r\nFENF 14 14\r\nFEFD 3 4 1 0 0 0 0 0\r\nFEFD 0 2 1 0 0 0 0 0"
+    )
+    listed = "\r\n".join(line for line in text.splitlines() if not line.startswith("WAVM"))
+    listed = listed.replace("PWAV", "WAVN " + " ".join(map(repr, FDC)) + " 0.55" * 9 + "\r\nPWAV", 1)
+    supplement = Supplement(working_distance_mm=100.0, pixel_pitch_um=3.2, pixels=(1000, 800))
+    found = read_zmx(saved(tmp_path, listed), supplement)
+    assert sorted(found.lens.wavelengths_um) == sorted(FDC)
+    assert found.lens.object.field_diameter_mm == 10.0
+
+
+def test_an_image_in_front_of_the_lens_is_no_sensor(tmp_path: Path) -> None:
+    text = AC254_050.replace("DISZ 43.4", "DISZ -43.4")
+    with pytest.raises(InputError, match=r"lacks plane_distances_mm \(its image lies -43.4 mm behind"):
+        read_zmx(saved(tmp_path, text), SUPPLEMENT)

@@ -57,7 +57,7 @@ def test_a_file_of_our_exporter_is_read(tmp_path: Path) -> None:
         (("  GLAS N-BK7", ""), "no glass"),
         (("  DIAM 11.43 1 0 0 1", "  DIAM 0 0 0 0 1"), "semi-diameter"),
         (("MODE SEQ", "MODE NSC"), "NSC"),
-        (("UNIT MM", "UNIT IN"), "IN"),
+        (("UNIT MM", "UNIT FEET"), "FEET"),
     ],
 )
 def test_what_is_not_understood_is_refused(tmp_path: Path, change: tuple[str, str], word: str) -> None:
