@@ -63,7 +63,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     own_materials = draft.notes.get("materials")
     count = sum(row.axes is None for row in draft.rows) - 2
     written_here = isinstance(own_materials, list) and len(own_materials) == count
-    rows = draft.rows if written_here else fold_dummy_planes(draft.rows)
+    rows = draft.rows if written_here else merge_touching_stop(fold_dummy_planes(draft.rows), draft)
     if len(rows) < 3:
         raise InputError(f"{source}: there are only planes in air between the object and the image")
     rows, pose, working_distance, first_plane = _extract_pose(rows, draft)
@@ -156,6 +156,37 @@ def fold_dummy_planes(rows: Sequence[SurfaceRow]) -> list[SurfaceRow]:
             result.append(row)
             medium = medium if row.axes is not None else row.material
     return [*result, rows[-1]]
+
+
+def merge_touching_stop(rows: Sequence[SurfaceRow], draft: Draft) -> list[SurfaceRow]:
+    """Move the stop to the lens surface that its plane touches, because surfaces of a design have a distance.
+
+    If that surface is a plane, this is exact. Otherwise the stop follows the sag of the surface, which is a
+    loss.
+    """
+    i = next((i for i, row in enumerate(rows[1:-1], start=1) if row.stop), 0)
+    row, before, behind = rows[i], rows[i - 1], rows[min(i + 1, len(rows) - 1)]
+    is_plane = row.radius_mm is None and not any(row.shape.values()) and row.axes is None
+    if not i or not is_plane or row.material is not None:
+        return list(rows)
+    if row.thickness_mm == 0.0 and i + 1 < len(rows) - 1 and behind.axes is None:
+        touched, distance_mm = i + 1, behind.thickness_mm
+    elif before.thickness_mm == 0.0 and i > 1 and before.axes is None and before.material is None:
+        touched, distance_mm = i - 1, row.thickness_mm
+    else:
+        return list(rows)
+    surface = rows[touched]
+    text = f"{row.name}: the stop touches {surface.name} and is read as its aperture"
+    if surface.radius_mm is None and not any(surface.shape.values()):
+        draft.add_remark(text)
+    else:
+        draft.add_loss(f"{text}, which has a sag")
+    semis = [r.semi_diameter_mm for r in (row, surface) if r.semi_diameter_mm is not None]
+    merged = replace(surface, stop=True, semi_diameter_mm=min(semis, default=None), thickness_mm=distance_mm)
+    kept = list(rows)
+    kept[touched] = merged
+    del kept[i]
+    return kept
 
 
 def _extract_pose(rows: list[SurfaceRow], draft: Draft) -> tuple[list[SurfaceRow], Pose, float, float]:

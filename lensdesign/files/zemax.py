@@ -201,7 +201,7 @@ def _row(reader: FileReader, surface: FileSurface, stored: Any, supplement: Supp
     held = shape.of_keys({"radius_mm": radius, "conic": conic} | keys).zemax()[1]
     if _is_supported(surface.kind):
         for i, value in sorted(terms.items()):
-            if value != held.get(i, 0.0):
+            if not math.isclose(value, held.get(i, 0.0), rel_tol=1e-14):  # a radius becomes a curvature
                 reader.draft.add_loss(f"{surface.name}: {shape.ZEMAX_LOST.get(i, f'PARM {i}')} of {value:g}")
         _check_extra_terms(reader, surface)
     return SurfaceRow(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from lensdesign.errors import InputError
 from lensdesign.files.draft import quoted
 
-SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
+SOLVES = ("MAZH", "CHZH", "PZUP", "PKUP", "EDGE", "PPAR", "MRAY", "PRAM")
 """Solves and pickups of a surface. The file also holds their values for the configuration in the surfaces."""
 
 RECORDS = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI"}

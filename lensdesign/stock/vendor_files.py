@@ -21,8 +21,10 @@ from lensdesign.lens.glass import is_air
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
 
-# Losses that do not change the glass: the light that the vendor assumed.
-_NOT_OF_THE_GLASS = re.compile(r"vignetting factors|telecentric object space")
+# Losses that do not change the glass: the light and the stop that the vendor assumed.
+_NOT_OF_THE_GLASS = re.compile(
+    r"vignetting factors|telecentric object space|surface \d+: the stop touches surface \d+ "
+)
 
 
 def find_vendor_files(folder: Path) -> tuple[list[Path], list[tuple[str, str]]]:

@@ -145,6 +145,26 @@ def test_a_plane_that_ends_a_glass_behind_a_break_is_kept() -> None:
     assert [s.material for s in assembled(ended).lens.surfaces] == [1.5, 1.7, None]
 
 
+@pytest.mark.parametrize("in_front", [True, False])
+@pytest.mark.parametrize("radius_mm", [None, 50.0])
+def test_a_stop_that_touches_a_surface_is_its_aperture(in_front: bool, radius_mm: float | None) -> None:
+    """Exact for a plane, and a loss for a curved surface, whose sag the stop would follow."""
+    stop = row(0.0 if in_front else 90.0, "stop", stop=True, semi_diameter_mm=3.0)
+    lens = [
+        row(5.0, "front", radius_mm=radius_mm if in_front else 40.0, material=1.5, semi_diameter_mm=4.0),
+        row(90.0 if in_front else 0.0, "back", radius_mm=-50.0 if in_front else radius_mm and -radius_mm),
+    ]
+    rows = [row(100.0, "object"), *([stop, *lens] if in_front else [*lens, stop]), row(0.0, "image")]
+    touched = 0 if in_front else 1
+    found = assembled(rows, lossy=True)
+    text = f"stop: the stop touches {('front', 'back')[touched]} and is read as its aperture"
+    assert found.lens.stop_index == touched
+    assert len(found.lens.surfaces) == 2
+    assert found.lens.sensor.plane_distances_mm == (90.0,)
+    assert found.dropped == (() if radius_mm is None else (f"{text}, which has a sag",))
+    assert (text in found.remarks) == (radius_mm is None)
+
+
 def test_a_value_given_along_is_taken_even_if_it_is_wrong() -> None:
     wrong = Supplement(0.0, 1.0, 0.05, 3.0, (10, 10))
     with pytest.raises(InputError, match=r"working_distance_mm = 0\.0.* 0"):

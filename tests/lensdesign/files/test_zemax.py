@@ -793,6 +793,23 @@ def test_cylinders_without_zernike_terms_are_read(tmp_path: Path) -> None:
     assert found.dropped == ()
 
 
+def test_a_radius_of_rotation_survives_the_rounding_of_its_curvature(tmp_path: Path) -> None:
+    """1 / (1 / 100000) is not exactly 100000; that is no loss."""
+    turned = 100000.0
+    assert 1.0 / (1.0 / turned) != turned
+    text = AC254_050.replace("STOP", f"TYPE TOROIDAL\r\n  PARM 1 {turned}\r\n  STOP", 1)
+    found = read_zmx(saved(tmp_path, text), SUPPLEMENT)
+    assert (found.dropped, found.lens.surfaces[0].radius_x_mm) == ((), turned)
+
+
+@pytest.mark.parametrize("record", ["EDGE 1.0 3.0", "PKUP 2 1.0 0"])
+def test_solves_of_the_distance_keep_its_present_value(tmp_path: Path, record: str) -> None:
+    path = saved(tmp_path, AC254_050.replace("STOP", f"{record}\r\n  STOP", 1))
+    found = read_zmx(path, SUPPLEMENT)
+    assert f"surface 1: {record[:4]} solve or pickup replaced by its present value" in found.remarks
+    assert found.dropped == ()
+
+
 def test_the_data_of_an_unknown_surface_type_are_one_loss(tmp_path: Path) -> None:
     old = "TYPE GRINSUR1\r\n  PARM 1 0.5\r\n  XDAT 3 1.0\r\n  NSCS 1 15 _NONE_\r\n  STOP"
     path = saved(tmp_path, AC254_050.replace("STOP", old, 1))
