@@ -96,7 +96,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     requested = supplement.numerical_aperture is not None
     stated = tuple(_first_given(row.semi_diameter_mm, row.automatic_mm) for row in rows[1:-1])
     rows, filled = _with_stop(rows, draft, values, catalogs, requested)
-    surfaces = _surfaces(rows)
+    surfaces = _surfaces(rows, draft)
     missing = [name for name, value in values.items() if value is None]
     if missing:
         image = ""
@@ -280,7 +280,7 @@ def _planes(draft: Draft, first_plane: float) -> tuple[float, ...] | None:
     return (first_plane,) if 0.0 < first_plane < math.inf else None
 
 
-def _surfaces(rows: Sequence[SurfaceRow]) -> list[dict[str, Any]]:
+def _surfaces(rows: Sequence[SurfaceRow], draft: Draft) -> list[dict[str, Any]]:
     """Return the surfaces between object and image as tables of a design file."""
     inner = rows[1:-1]
     if len(inner) > MAX_SURFACES:
@@ -289,7 +289,7 @@ def _surfaces(rows: Sequence[SurfaceRow]) -> list[dict[str, Any]]:
         if not 0.0 < row.thickness_mm < math.inf:
             raise InputError(
                 f"{row.location}: the next surface lies {row.thickness_mm:g} mm behind {row.name}; "
-                "in a design this must be finite and greater than 0"
+                f"in a design this must be finite and greater than 0{_mirrors(draft)}"
             )
     return [
         {
@@ -303,6 +303,12 @@ def _surfaces(rows: Sequence[SurfaceRow]) -> list[dict[str, Any]]:
         }
         for row in inner
     ]
+
+
+def _mirrors(draft: Draft) -> str:
+    """Return the mirrors that a lossy import omitted; behind them, distances have the other sign."""
+    mirrors = [loss.split(":")[0] for loss in draft.dropped if ": mirror" in loss]
+    return f". The file has mirrors: {', '.join(mirrors)}" if mirrors else ""
 
 
 def _with_stop(

@@ -317,6 +317,8 @@ def read_lines(path: str | os.PathLike[str], binary_hint: str = "") -> list[str]
 
 
 def _decode(data: bytes, location: str, not_text: str) -> str:
+    if data[:4:2] == b"\0\0" and data[1:4:2].isalnum():
+        data = codecs.BOM_UTF16_BE + data
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or data[1:2] == b"\0":
         marked = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         try:

@@ -80,10 +80,13 @@ def read_stock_lens(path: Path, catalogs: Sequence[Path] = ()) -> tuple[str, tup
         plane_distances_mm=(1.0,),
         glass_catalogs=tuple(catalogs),
     )
-    found = read_lens_file(path, supplement, lossy=True)
-    losses = [loss for loss in found.dropped if not _NOT_OF_THE_GLASS.match(loss)]
-    if losses:
-        raise LossyImportError(str(path), losses)
+    try:
+        found = read_lens_file(path, supplement)
+    except LossyImportError as error:
+        losses = [loss for loss in error.dropped if not _NOT_OF_THE_GLASS.match(loss)]
+        if losses:
+            raise LossyImportError(str(path), losses) from None
+        found = read_lens_file(path, supplement, lossy=True)
     first, last = _glass_range(found.lens, path)
     surfaces = found.lens.surfaces[first : last + 1]
     semis = found.semi_diameters_mm[first : last + 1]

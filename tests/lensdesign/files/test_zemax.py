@@ -219,7 +219,7 @@ def test_solves_are_remarked(tmp_path: Path) -> None:
     assert result.remarks == ("surface 2: MAZH solve or pickup replaced by its present value",)
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-8", "utf-8-sig", "latin-1"])
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8", "utf-8-sig", "latin-1"])
 def test_encodings(tmp_path: Path, encoding: str) -> None:
     text = COOKE.replace("A SIMPLE", "ÉTUDE D'UN")
     assert read_zmx(saved(tmp_path, text, encoding), SUPPLEMENT).lens.title == "ÉTUDE D'UN COOKE TRIPLET."
@@ -836,3 +836,9 @@ def test_an_image_in_front_of_the_lens_is_no_sensor(tmp_path: Path) -> None:
     text = AC254_050.replace("DISZ 43.4", "DISZ -43.4")
     with pytest.raises(InputError, match=r"lacks plane_distances_mm \(its image lies -43.4 mm behind"):
         read_zmx(saved(tmp_path, text), SUPPLEMENT)
+
+
+def test_mirrors_are_named_where_a_distance_is_negative(tmp_path: Path) -> None:
+    text = AC254_050.replace("GLAS N-BAF10", "GLAS MIRROR").replace("DISZ 9.0", "DISZ -9.0")
+    with pytest.raises(InputError, match=r"lies -9 mm behind surface 1; .* The file has mirrors: surface 1"):
+        read_zmx(saved(tmp_path, text), SUPPLEMENT, lossy=True)

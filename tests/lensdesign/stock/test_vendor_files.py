@@ -75,6 +75,23 @@ def test_losses_of_the_glass_are_refused_and_coatings_are_not(tmp_path: Path) ->
         )
 
 
+def test_a_mirror_is_named_before_the_distance_behind_it(tmp_path: Path) -> None:
+    text = (
+        zmx_text("LA1131", LA1131, 11.43)
+        .replace("GLAS N-BK7", "GLAS MIRROR")
+        .replace("DISZ 5.34", "DISZ -5.34")
+    )
+    with pytest.raises(LossyImportError, match="surface 1: mirror"):
+        read(tmp_path, text)
+
+
+def test_a_stop_plane_at_the_vertex_does_not_change_the_glass(tmp_path: Path) -> None:
+    text = zmx_text("LA1131", LA1131, 11.43, stop_plane=True).replace("DISZ 5.0", "DISZ 0.0")
+    name, surfaces = read(tmp_path, text)
+    assert name == "LA1131"
+    assert [surface.radius_mm for surface in surfaces] == [25.75, None]
+
+
 def test_all_lens_files_below_the_folder_are_found(tmp_path: Path) -> None:
     write_vendors(tmp_path)
     (tmp_path / "again").symlink_to(tmp_path)
