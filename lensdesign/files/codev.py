@@ -45,6 +45,7 @@ from lensdesign.files.draft import (
     field_height_reader,
     find_glass,
     find_glass_of_unknown_maker,
+    losses_named,
     note_lines,
     parse_number,
     plain_title,
@@ -118,7 +119,9 @@ def read_seq(
         raise InputError(
             f"{path}: no image surface (SI) behind {reader.surfaces[-1].name}; is the file cut short?"
         )
-    return assemble(_finished(reader, supplement), supplement, lossy)
+    with losses_named(reader.draft):
+        draft = _finished(reader, supplement)
+    return assemble(draft, supplement, lossy)
 
 
 def _finished(reader: FileReader, supplement: Supplement) -> Draft:
@@ -208,7 +211,6 @@ def _material(
     if not token or token.upper() == "AIR":
         return None
     if token.upper() == "REFL":
-        reader.draft.add_loss(f"{surface.name}: mirror, read as a surface in air")
         return None
     name, _, maker = token.rpartition("_") if "_" in token else (token, "", "")
     if token.upper() in reader.private_glasses:
@@ -543,6 +545,8 @@ def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str
     if not values:
         raise InputError(f"{location}: a glass without its name")
     surface.glass, surface.glass_location = values[0].strip("'\""), f"{location} ({surface.name})"
+    if surface.glass.upper() == "REFL":
+        reader.draft.add_loss(f"{surface.name}: mirror, read as a surface in air")
 
 
 def _conic(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:

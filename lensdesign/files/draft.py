@@ -13,7 +13,8 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -292,6 +293,22 @@ class Draft:
         """Set the half field to the largest distance of these object points from the axis."""
         pairs = zip_longest(x_mm, y_mm, fillvalue=0.0)
         self.half_field_mm = max((math.hypot(*pair) for pair in pairs), default=None)
+
+
+@contextmanager
+def losses_named(draft: Draft) -> Iterator[None]:
+    """Add the losses found so far to the error of an unknown glass, which would hide them."""
+    try:
+        yield
+    except MaterialError as error:
+        if not draft.dropped:
+            raise
+        shown = 5
+        more = f" and {len(draft.dropped) - shown} more" if len(draft.dropped) > shown else ""
+        listed = "; ".join(draft.dropped[:shown])
+        raise MaterialError(
+            f"{error}. A design cannot represent these parts either: {listed}{more}"
+        ) from error
 
 
 def read_lines(path: str | os.PathLike[str], binary_hint: str = "") -> list[str]:

@@ -42,6 +42,7 @@ from lensdesign.files.draft import (
     check_writable,
     field_height_reader,
     find_glass,
+    losses_named,
     note_lines,
     parse_number,
     plain_title,
@@ -120,7 +121,9 @@ def read_zmx(
         elif word:
             read_record(reader, word.upper(), values, location, line[:1].isspace())
     finish_records(reader)
-    return assemble(_finished(reader, lines, supplement), supplement, lossy)
+    with losses_named(reader.draft):
+        draft = _finished(reader, lines, supplement)
+    return assemble(draft, supplement, lossy)
 
 
 def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> Draft:
@@ -262,7 +265,6 @@ def _material(
         return None
     name, *values = surface.glass
     if name.upper() == "MIRROR":
-        reader.draft.add_loss(f"{surface.name}: mirror, read as a surface in air")
         return None
     kind = integer_at(values, 0, surface.glass_location) if values else 0
     if kind == 1 or name.upper() in ("___BLANK", "MODEL"):
@@ -324,7 +326,7 @@ EXACT = Context(prec=25)
 # Records of analyses, drawings, weights, variables, polarization, authors and comments, expansions by heat
 # (TCED), and points of an aperture that USAP names (UDAD). They do not describe the lens at 20 degrees C.
 _IDLE_WORDS = """
-VERS PFIL LANG DBDT GFAC GLRS GSTD NSCD COFN RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS LUID FWGN FWGT WWGT WWGN
+VERS PFIL LANG DBDT GLRS GSTD NSCD COFN RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS LUID FWGN FWGT WWGT WWGN
 MNCA MNEA MNCG MNEG MXCA MXCG RWRE ROTA BLNK TOL TOLE MOFF FCOM COMM HIDE MIRR SLAB POPS MEMA OEMA FIMP CONF
 SCBD TBTP RSCE RWCE VDSZ VPAR VCON AUTH IWDP EERA SSID STUD SCOL BOOK CSUM FENF TCED UDAD
 """
@@ -576,6 +578,8 @@ def _glass(reader: FileReader, surface: FileSurface, values: list[str], location
     if not values:
         raise InputError(f"{location}: GLAS without a name")
     surface.glass, surface.glass_location = tuple(values), f"{location} ({surface.name})"
+    if values[0].upper() == "MIRROR":
+        reader.draft.add_loss(f"{surface.name}: mirror, read as a surface in air")
 
 
 def _diameter(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
@@ -743,6 +747,11 @@ def _environment(reader: FileReader, values: list[str], location: str) -> None:
         )
 
 
+def _apodization(reader: FileReader, values: list[str], location: str) -> None:
+    if parse_number(values[0], location) if values else 0.0:
+        reader.draft.add_remark("apodization of the pupil omitted; it does not change the paths of rays")
+
+
 def _configurations(reader: FileReader, values: list[str], location: str) -> None:
     reader.in_trailing_block |= bool(reader.surfaces)
     if integer_at(values, 0, location) > 1:
@@ -774,6 +783,7 @@ _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
     "PWAV": _primary,
     "GCAT": _catalogues,
     "ENVD": _environment,
+    "GFAC": _apodization,
     "MNUM": _configurations,
 }
 

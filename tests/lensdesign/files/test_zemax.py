@@ -715,6 +715,7 @@ def test_a_strong_asphere_near_the_axis_raises_no_alarm(tmp_path: Path) -> None:
 def test_coatings_are_omitted_with_a_remark(tmp_path: Path) -> None:
     found = read_zmx(saved(tmp_path, AC254_050.replace("STOP", "COAT AR\r\n  STOP", 1)), SUPPLEMENT)
     assert found.dropped == ()
+    assert not any("apodization" in remark for remark in found.remarks)
     assert "surface 1: coating 'AR' omitted; it does not change the paths of rays" in found.remarks
 
 
@@ -842,3 +843,19 @@ def test_mirrors_are_named_where_a_distance_is_negative(tmp_path: Path) -> None:
     text = AC254_050.replace("GLAS N-BAF10", "GLAS MIRROR").replace("DISZ 9.0", "DISZ -9.0")
     with pytest.raises(InputError, match=r"lies -9 mm behind surface 1; .* The file has mirrors: surface 1"):
         read_zmx(saved(tmp_path, text), SUPPLEMENT, lossy=True)
+
+
+def test_an_apodization_is_omitted_with_a_remark(tmp_path: Path) -> None:
+    found = read_zmx(saved(tmp_path, AC254_050.replace("GFAC 0 0", "GFAC 1 1")), SUPPLEMENT)
+    assert "apodization of the pupil omitted; it does not change the paths of rays" in found.remarks
+    assert found.dropped == ()
+
+
+def test_an_unknown_glass_does_not_hide_a_gradient_index_or_a_mirror(tmp_path: Path) -> None:
+    text = AC254_050.replace("STOP", "TYPE GRINSUR1\r\n  STOP", 1).replace("N-BAF10", "SLS-1.0")
+    expected = (
+        r"\(surface 1\): unknown material 'SLS-1.0'.* A design cannot represent these parts either: "
+        r"surface 1: surface type 'GRINSUR1' \(gradient index\), read as STANDARD; surface 2: mirror"
+    )
+    with pytest.raises(MaterialError, match=expected):
+        read_zmx(saved(tmp_path, text.replace("N-SF10", "MIRROR")), SUPPLEMENT)
