@@ -51,6 +51,7 @@ SCRIPTS = (
     "interval_coverage",
     "temperature",
     "exchange",
+    "lens_files",
     "step_export",
     "import_time",
     "workbench",
