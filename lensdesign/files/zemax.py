@@ -121,9 +121,24 @@ def read_zmx(
         elif word:
             read_record(reader, word.upper(), values, location, line[:1].isspace())
     finish_records(reader)
+    _check_complete(reader)
     with losses_named(reader.draft):
         draft = _finished(reader, lines, supplement)
     return assemble(draft, supplement, lossy)
+
+
+def _check_complete(reader: FileReader) -> None:
+    """Raise an error if the last surface is not an image, which always has a distance of 0."""
+    if len(reader.surfaces) < 3:  # reported when the lens is assembled
+        return
+    image = reader.surfaces[-1]
+    values, location = image.first_records.get("DISZ", ([], image.location))
+    if not values or _parse_distance(values[0], location) != 0.0:
+        distance = f"a distance of {values[0]}" if values else "no distance (DISZ)"
+        raise InputError(
+            f"{location}: {image.name}, the last one, has {distance}, but the image has a distance of 0; is "
+            "the file cut short?"
+        )
 
 
 def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> Draft:

@@ -439,7 +439,9 @@ def test_what_is_no_lens_file_is_refused(tmp_path: Path) -> None:
         (b"", "0 surfaces found"),
         (b"\x00\x01\x02\xff" * 100, "not a text file"),
         (b"\xff\xfeS\x00U", "not valid UTF-16"),
-        (b"SURF 0\nSURF 1\nSURF 2\n", "no wavelength found"),
+        (b"SURF 0\nSURF 1\nSURF 2\n", r"surface 2, the last one, has no distance \(DISZ\).* cut short"),
+        (b"SURF 0\nSURF 1\nSURF 2\nDISZ 3\n", "the last one, has a distance of 3, but the image"),
+        (b"SURF 0\nSURF 1\nSURF 2\nDISZ 0\n", "no wavelength found"),
         (b"SURF 0\n" + b"SURF 1\n" * 3, "where surface 2 must follow"),
         ("\n".join(f"SURF {i}" for i in range(1100)).encode(), "more than 1000 surfaces"),
         (b"X" * 1_000_000, "0 surfaces found"),
@@ -859,3 +861,19 @@ def test_an_unknown_glass_does_not_hide_a_gradient_index_or_a_mirror(tmp_path: P
     )
     with pytest.raises(MaterialError, match=expected):
         read_zmx(saved(tmp_path, text.replace("N-SF10", "MIRROR")), SUPPLEMENT)
+
+
+def test_a_file_that_is_cut_short_is_refused_or_has_the_same_lens(tmp_path: Path) -> None:
+    """Wherever the file ends, a reader never takes a surface of the lens for the image."""
+    whole = read_zmx(saved(tmp_path, AC254_050), SUPPLEMENT).lens
+    lines = AC254_050.split("\n")
+    read = 0
+    for count in range(1, len(lines)):
+        try:
+            found = read_zmx(saved(tmp_path, "\n".join(lines[:count])), SUPPLEMENT).lens
+        except InputError:
+            continue
+        read += 1
+        assert [s.radius_mm for s in found.surfaces] == [s.radius_mm for s in whole.surfaces]
+        assert [s.material for s in found.surfaces] == [s.material for s in whole.surfaces]
+    assert 0 < read < 20
