@@ -1,11 +1,11 @@
 """Lens files of vendors in a folder: how many are read, and why the others are refused.
 
-``python -m benchmarks.lens_files FOLDER`` imports every file of the supported formats below the folder, with
-values for what the files lack (object, field, sensor). It prints the number of files by format, and the
-reasons of refusals, each with one example. A file that fails with anything but a message is a defect; the
-status is then 1. If Optiland is installed, it reads the same .zmx files. Rays through the lenses whose
-indices agree with ours should agree within 1 nm; others are listed. Optiland 0.6.3 does not convert lengths
-in inches, cm or m.
+``python -m benchmarks.lens_files FOLDER [AGF ...]`` imports every file of the supported formats below the
+folder, with the glass catalogues, and with values for what the files lack (object, field, sensor). It prints
+the number of files by format, and the reasons of refusals, each with one example. A file that fails with
+anything but a message is a defect; the status is then 1. If Optiland is installed, it reads the same .zmx
+files. Rays through the lenses whose indices agree with ours should agree within 1 nm; others are listed.
+Optiland 0.6.3 does not convert lengths in inches, cm or m.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ INDEX_TOLERANCE = 1e-9
 EXAMPLES = 40
 
 
-def read(path: Path) -> Imported:
+def read(path: Path, catalogs: tuple[Path, ...]) -> Imported:
     """Read a file, completed with the values that its message names."""
-    given: dict[str, Any] = {"pixel_pitch_um": 3.0, "pixels": (1000, 1000)}
+    given: dict[str, Any] = {"pixel_pitch_um": 3.0, "pixels": (1000, 1000), "glass_catalogs": catalogs}
     while True:
         try:
             return read_lens_file(path, Supplement(**given))
@@ -153,10 +153,10 @@ def compare(paths: dict[Path, Imported]) -> None:
 
 def main() -> int:
     """Print the table and the comparison; 1 if a file failed without a message."""
-    if len(sys.argv) != 2:
-        print("left out: no folder of lens files given (python -m benchmarks.lens_files FOLDER)")
+    if len(sys.argv) < 2:
+        print("left out: no folder of lens files given (python -m benchmarks.lens_files FOLDER [AGF ...])")
         return 0
-    folder = Path(sys.argv[1])
+    folder, *catalogs = map(Path, sys.argv[1:])
     outcomes: Counter[tuple[str, str]] = Counter()
     counts: Counter[str] = Counter()
     examples: dict[str, Path] = {}
@@ -165,7 +165,7 @@ def main() -> int:
     for path in find_vendor_files(folder)[0]:
         suffix = path.suffix.lower()
         try:
-            found[path] = read(path)
+            found[path] = read(path, tuple(catalogs))
             outcomes[suffix, "read"] += 1
         except (InputError, MaterialError) as error:
             outcomes[suffix, "refused"] += 1

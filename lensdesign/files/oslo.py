@@ -206,7 +206,7 @@ def _read_command(reader: FileReader, words: list[str], location: str) -> None:
         _single_wavelength(reader, int(word[2:]), values, location)
     elif word in _OF_SURFACE:
         _OF_SURFACE[word](reader, reader.surfaces[-1], word, values, location)
-    elif word not in _IDLE and not re.fullmatch(r"SNO\d+|WW\d+", word):
+    elif word not in _IDLE and not _IDLE_FORMS.fullmatch(word):
         _lose(reader, word, words, location)
 
 
@@ -267,7 +267,7 @@ def _read_trailing(reader: FileReader, word: str, words: list[str], location: st
         reader.block = word
         if word == "CFG":
             reader.draft.add_loss(f"{_line(location)}: configurations (CFG); the first one is read")
-    else:
+    elif not _IDLE_FORMS.fullmatch(word):
         reader.draft.add_loss(f"{_line(location)}: {quoted(' '.join(words))}")
 
 
@@ -289,6 +289,9 @@ _STRUCTURAL = ("GTO", "INS", "DEL", "REV", "INV")
 # infinity are angles (ANG) or image heights (GIH); a design needs an object height instead.
 _IDLE_WORDS = "DES NOT WW TCE ANG GIH DRW LDP CBK ELMDF1 ELMDF2 BDI BDD VX PF LMN LME DT"
 _IDLE = frozenset(_IDLE_WORDS.split())
+
+# Notes, weights, and the conditions of lens drawings (DLRS, DLNF, DLFD, ...).
+_IDLE_FORMS = re.compile(r"SNO\d+|WW\d+|DL[A-Z]{2}")
 
 _LOST_IF_NOT_ZERO = {
     **dict.fromkeys(("DCX", "DCY", "DCZ", "TLA", "TLB", "TLC", "TOX", "TOY", "TOZ"), "decenter or tilt"),

@@ -482,3 +482,17 @@ def test_a_binary_file_of_codev_is_refused_with_advice(tmp_path: Path) -> None:
     path.write_bytes(b"]\0\0\0X\0\0\0\xb0P\xd0 \xf0d;<New lens from CVMACRO:cvnewlens.seq" + b"\0\xd8" * 99)
     with pytest.raises(InputError, match=r"not a text file; CODE V's own lens files end in \.len, too"):
         read_len(path)
+
+
+def test_conditions_of_drawings_do_not_describe_the_lens(tmp_path: Path) -> None:
+    path = tmp_path / "lens.len"
+    text = (
+        'LEN NEW "Singlet" 100 3; NAO 0.1; OBH 4; UNI 1; WV 0.5876; TH 60; NXT; '
+        "GLA N-BK7; RD 50; TH 5; NXT; RD -50; PY 0; NXT; DLNF 3; END 3\nDLRS 3\n"
+    )
+    path.write_text(text)
+    supplement = Supplement(pixel_pitch_um=3.2, pixels=(1000, 800))
+    assert read_len(path, supplement).dropped == ()
+    path.write_text(text + "DLR 3\n")
+    with pytest.raises(LossyImportError, match="line 3: 'DLR 3'"):
+        read_len(path, supplement)
