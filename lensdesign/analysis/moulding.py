@@ -48,6 +48,9 @@ class MouldingCheck:
         Key of the limit in the table ``[moulding]``; empty for a limit that follows from other values.
     source, source_address
         Source of the limit and its address; empty without one.
+    is_guideline
+        Whether the limit is a published guideline. The limits that a design states, and those that follow
+        from other values of it, are binding.
     """
 
     element: int
@@ -62,11 +65,18 @@ class MouldingCheck:
     limit_key: str
     source: str
     source_address: str
+    is_guideline: bool
+
+    @property
+    def is_missed(self) -> bool:
+        """Whether a binding limit is not met."""
+        return self.met is False and not self.is_guideline
 
     @property
     def result_text(self) -> str:
         """Value, limit and result on one short line."""
-        result = {True: "met", False: "not met", None: "open"}[self.met]
+        missed = "beyond the guideline" if self.is_guideline else "not met"
+        result = {True: "met", False: missed, None: "open"}[self.met]
         return f"{self.value_text}: {result}"
 
     @property
@@ -107,7 +117,7 @@ def moulding_checks(lens: Lens) -> tuple[MouldingCheck, ...]:
     >>> from lensdesign import load_design, moulding_checks
     >>> lens = load_design("designs/phone_lens.toml")
     >>> [f"{check.name}: {check.result_text}" for check in moulding_checks(lens) if check.met is False]
-    ['centre to edge thickness ratio: 2.831 ≤ 2: not met']
+    ['centre to edge thickness ratio: 2.831 ≤ 2: beyond the guideline']
     """
     settings = lens.moulding or Moulding()
     families = {
@@ -263,6 +273,7 @@ class _Checks:
     ) -> MouldingCheck:
         element = f"element {self.element.index + 1}: {name}"
         bound = None if limit is None else limit.value
+        is_guideline = limit is not None and limit.sources[0].address != ""
         met: bool | None = None
         if value is None:
             miss = f"{element}: not stated in the design's [[edge]]"
@@ -273,9 +284,10 @@ class _Checks:
             margin = 1e-9 * abs(limit.value)
             is_least = relation == ">="
             met = value >= limit.value - margin if is_least else value <= limit.value + margin
+            side = "less" if is_least else "greater"
+            bound_name = "guideline of" if is_guideline else "limit of"
             miss = (
-                f"{element}: {number_with_unit(f'{value:.4g}', unit)} is "
-                f"{'less than the least' if is_least else 'greater than the largest'} allowed, "
+                f"{element}: {number_with_unit(f'{value:.4g}', unit)} is {side} than the {bound_name} "
                 f"{number_with_unit(f'{limit.value:.4g}', unit)} ({limit.source})"
             )
         return MouldingCheck(
@@ -291,6 +303,7 @@ class _Checks:
             limit_key=key,
             source="" if limit is None else limit.source,
             source_address="" if limit is None else limit.sources[0].address,
+            is_guideline=is_guideline,
         )
 
 

@@ -182,8 +182,8 @@ class CheckReport:
 
     @property
     def mouldable(self) -> bool:
-        """Whether no moulding check is missed; True for a lens without moulded elements."""
-        return all(check.met is not False for check in self.moulding)
+        """Whether no binding limit of moulding is missed; True for a lens without moulded elements."""
+        return not any(check.is_missed for check in self.moulding)
 
     def __repr__(self) -> str:
         met = "every constraint met" if self.feasible else f"not met: {len(self.violations)}"

@@ -30,6 +30,7 @@ from lensdesign.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from lensdesign.analysis.moulding import MouldingCheck
     from lensdesign.analysis.report import CheckReport
 
 app = make_app(
@@ -104,11 +105,12 @@ def check(
     (--against) replaces these constraints with its own, for its field, aperture, wavelengths and sensor.
 
     Elements of plastic, and others that the design's [moulding] selects, are also checked for moulding:
-    draft, gate, thicknesses, slopes and sags. A check without a stated value or a limit stays open.
+    draft, gate, thicknesses, slopes and sags. A check without a stated value or a limit stays open. The
+    limits that the design states are binding; published ones are guidelines.
 
     Example: lensdesign check lens.toml
 
-    Exit status: 0 if every constraint and moulding check is met or open, 1 if not, 2 for bad input.
+    Exit status: 0 if every constraint and every binding limit of moulding is met, 1 if not, 2 for bad input.
     """
     from lensdesign.files.design import load_design
 
@@ -350,7 +352,7 @@ def _print_check(report: CheckReport) -> None:
         say("not met:", sentence)
     for m in report.moulding:
         if m.met is False:
-            say("not met:", m.miss)
+            say("beyond a guideline:" if m.is_guideline else "not met:", m.miss)
 
 
 def _moulding_sources(report: CheckReport) -> dict[str, int]:
@@ -368,10 +370,16 @@ def _moulding_table(report: CheckReport) -> Table:
             f"{f'element {m.element}: ' if several else ''}{m.name}",
             "not stated" if m.value is None else quantity_text(m.value, m.unit),
             "" if m.limit is None else f"{relation_symbol(m.relation)} {quantity_text(m.limit, m.unit)}",
-            "open" if m.met is None else _met(m.met),
+            _moulding_result(m),
             str(numbers[m.source_text]) if m.source else "",
         )
     return found
+
+
+def _moulding_result(check: MouldingCheck) -> str:
+    if check.met is None:
+        return "open"
+    return _met(check.met) if check.met or not check.is_guideline else "[yellow]beyond[/yellow]"
 
 
 def _met(met: bool) -> str:

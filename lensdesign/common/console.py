@@ -209,7 +209,7 @@ def _drop_output() -> None:
     os.close(nowhere)
 
 
-HEAD_COLOURS = {"error:": "red", "not met:": "red", "warning:": "yellow"}
+HEAD_COLOURS = {"error:": "red", "not met:": "red", "warning:": "yellow", "beyond a guideline:": "yellow"}
 """Colours in which lines begin on a terminal, unless the environment variable NO_COLOR is set."""
 
 

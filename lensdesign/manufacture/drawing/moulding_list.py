@@ -29,12 +29,16 @@ def moulding_lines(element: Element, checks: Sequence[MouldingCheck], width_mm: 
     paragraphs = _edge_texts(element)
     kinds = dict.fromkeys(check.check for check in checks)
     met = [kind for kind in kinds if all(check.met for check in checks if check.check == kind)]
-    missed = [f"{check.name} {check.value_text}" for check in checks if check.met is False]
+    beyond = [
+        f"{check.name} {check.value_text}" for check in checks if check.met is False and check.is_guideline
+    ]
+    missed = [f"{check.name} {check.value_text}" for check in checks if check.is_missed]
     unstated = [f"{check.name} (not stated)" for check in checks if check.value is None]
     unlimited = [f"{check.name} (no limit)" for check in checks if check.limit is None]
     for head, texts in (
         ("met", [kind.replace("_", " ") for kind in met]),
         ("not met", missed),
+        ("beyond guidelines", beyond),
         ("open", [*unstated, *unlimited]),
     ):
         if texts:

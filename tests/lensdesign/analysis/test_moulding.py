@@ -257,10 +257,15 @@ def test_pressed_glass_has_no_limits_of_injection_moulding() -> None:
 def test_the_report_has_the_checks_apart_from_the_constraints() -> None:
     lens = moulded(edge=Edge(semi_diameter_mm=4.0, draft_deg=0.25))
     report = check_design(lens, refined=False)
-    assert not report.mouldable
+    assert report.mouldable  # a guideline does not bind
+    binding = moulded(edge=Edge(semi_diameter_mm=4.0, draft_deg=0.25), min_draft_deg=0.5)
+    bound = check_design(binding, refined=False)
+    assert not bound.mouldable
+    assert bound.as_dict()["mouldable"] is False
+    assert [check.check for check in bound.moulding if check.is_missed] == ["draft"]
     assert not any("draft" in sentence for sentence in report.violations)
     data = report.as_dict()
-    assert data["mouldable"] is False
+    assert data["mouldable"] is True
     (draft,) = (row for row in data["moulding"] if row["check"] == "draft")
     assert draft == {
         "element": 1,
@@ -275,4 +280,5 @@ def test_the_report_has_the_checks_apart_from_the_constraints() -> None:
         "limit_key": "min_draft_deg",
         "source": "MFGABC, Plastic part design rules",
         "source_address": "https://www.mfgabc.com/guide/plastic-part-design-rules.html",
+        "is_guideline": True,
     }
