@@ -59,6 +59,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.conic import Conic
+from lensdesign.lens.shapes.forbes import MOST_Q_TERMS, ZEMAX_FORBES_TYPE, qbfs_polynomials
 from lensdesign.lens.shapes.registry import shape_classes
 
 
@@ -180,6 +181,8 @@ def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> l
             blocks[-1].setdefault(word, values)
         elif blocks and word == "PARM" and values[:1] == ["1"]:
             blocks[-1].setdefault("PARM 1", values[1:])
+        elif blocks and word == "XDAT" and len(values) > 1:
+            blocks[-1].setdefault(f"XDAT {values[0]}", values[1:])
     recorded: list[RecordedSurface] = []
     for block, row, surface in zip(blocks, reader.draft.rows, reader.surfaces, strict=True):
         glass = tuple(block.get("GLAS", ()))
@@ -194,6 +197,14 @@ def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> l
         conic = parse_number(block.get("CONI", ["0"])[0], surface.location)
         if block.get("TYPE", [""])[:1] == ["EVENASPH"] and (not curvature or conic == -1.0):
             curvature += 2.0 * parse_number(block.get("PARM 1", ["0"])[0], surface.location)
+        if block.get("TYPE", [""])[:1] == [ZEMAX_FORBES_TYPE]:
+            kind, count, radius, *q = (
+                parse_number(block.get(f"XDAT {i}", ["0"])[0], surface.location)
+                for i in range(1, 4 + MOST_Q_TERMS)
+            )
+            if kind == 0.0:  # the departure of a Qbfs begins with r^2
+                own = zip(q[: int(count)], qbfs_polynomials(), strict=False)
+                curvature += 2.0 / radius**2 * sum(value * polynomial(0.0) for value, polynomial in own)
         recorded.append(
             RecordedSurface(
                 curvature,
@@ -215,7 +226,9 @@ def _row(reader: FileReader, surface: FileSurface, stored: Any, supplement: Supp
         axes = CoordinateBreak((x, y), (a, b, c), order != 0.0)
         return SurfaceRow(surface.name, surface.location, thickness_mm=surface.thickness_mm, axes=axes)
     radius, conic, terms = _with_quadratic_term(reader, surface)
-    shape, keys = shape_of_type(surface.kind, terms) or (Conic, {})
+    if surface.kind == ZEMAX_FORBES_TYPE:
+        _check_forbes(reader, surface)
+    shape, keys = shape_of_type(surface.kind, terms, surface.extra_terms) or (Conic, {})
     held = shape.of_keys({"radius_mm": radius, "conic": conic} | keys).zemax()[1]
     if _is_supported(surface.kind):
         for i, value in sorted(terms.items()):
@@ -226,7 +239,7 @@ def _row(reader: FileReader, surface: FileSurface, stored: Any, supplement: Supp
         surface.name,
         surface.location,
         radius,
-        conic,
+        conic if "conic" in shape.KEYS else 0.0,
         keys,
         surface.thickness_mm,
         _material(reader, surface, stored, supplement),
@@ -262,6 +275,8 @@ def _check_extra_terms(reader: FileReader, surface: FileSurface) -> None:
 
     Those of a toroid are the number of Zernike terms, the radius of normalization, and the coefficients.
     """
+    if surface.kind == ZEMAX_FORBES_TYPE:
+        return
     terms = surface.extra_terms
     if surface.kind == "TOROIDAL":
         count = int(terms.get(1, 0.0))
@@ -270,6 +285,31 @@ def _check_extra_terms(reader: FileReader, surface: FileSurface) -> None:
     if lost:
         name = "Zernike terms of the toroid, " if surface.kind == "TOROIDAL" else ""
         reader.draft.add_loss(f"{surface.name}: {name}{', '.join(lost)}")
+
+
+def _check_forbes(reader: FileReader, surface: FileSurface) -> None:
+    """Refuse a Forbes asphere without a normalization radius, and add as losses what a design cannot state.
+
+    OpticStudio's Qbfs may have a conic as its base; that of a design is a sphere.
+    """
+    kind, count, radius_mm = (surface.extra_terms.get(i, 0.0) for i in (1, 2, 3))
+    if not radius_mm > 0.0:
+        raise InputError(
+            f"{surface.location}: a Forbes asphere has the normalization radius {radius_mm:g} (XDAT 3); it "
+            "must be greater than 0"
+        )
+    if kind not in (0.0, 1.0):
+        reader.draft.add_loss(
+            f"{surface.name}: Forbes asphere of kind {kind:g}, neither 0 (Qbfs) nor 1 (Qcon)"
+        )
+    if kind == 0.0 and surface.conic:
+        reader.draft.add_loss(
+            f"{surface.name}: conic constant {surface.conic:g} of a Qbfs, which is read with a sphere as base"
+        )
+    beyond = {i: value for i, value in surface.extra_terms.items() if 4 + MOST_Q_TERMS <= i < 4 + count}
+    lost = [f"XDAT {i} of {value:g}" for i, value in sorted(beyond.items()) if value]
+    if lost:
+        reader.draft.add_loss(f"{surface.name}: more than {MOST_Q_TERMS} Forbes terms, {', '.join(lost)}")
 
 
 def _material(
@@ -376,7 +416,6 @@ _SURFACE_TYPES = {
     "JONESMAT": "Jones matrix",
     "NONSEQ": "components in the order in which rays meet them",
     "PARAX": "ideal thin lens",
-    "QED_TYPE": "Forbes polynomials",
     "SZERNSAG": "Zernike sag",
     "TILTSURF": "tilted plane",
     "TOROGRAT": "diffraction grating",
@@ -562,13 +601,15 @@ def _type(reader: FileReader, surface: FileSurface, values: list[str], location:
 
 
 def _is_supported(kind: str) -> bool:
-    return kind == "COORDBRK" or shape_of_type(kind, {}) is not None
+    return kind == "COORDBRK" or shape_of_type(kind, {}, {}) is not None
 
 
-def shape_of_type(kind: str, parameters: Mapping[int, float]) -> tuple[type[Shape], dict[str, Any]] | None:
+def shape_of_type(
+    kind: str, parameters: Mapping[int, float], extra_data: Mapping[int, float]
+) -> tuple[type[Shape], dict[str, Any]] | None:
     """Return the shape class of a surface type and its keys except radius and conic; None if unknown."""
     for shape in shape_classes():
-        keys = shape.keys_of_zemax(kind, parameters)
+        keys = shape.keys_of_zemax(kind, parameters, extra_data)
         if keys is not None:
             return shape, keys
     return None
@@ -910,6 +951,7 @@ def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
             else "CURV 0.0",
             *(["STOP"] if i == lens.stop_index and s.stop else []),
             *(f"PARM {n} {value!r}" for n, value in parameters.items()),
+            *(f'XDAT {n} {value!r} 0 0 1.0 0.0 0 ""' for n, value in s.shape.zemax_extra_data().items()),
             *([f"CONI {s.conic!r}"] if s.conic else []),
             *([f"GLAS {_glass_values(s.material, lens)}"] if s.material is not None else []),
             *(

@@ -157,9 +157,23 @@ class Shape(ABC):
         """Return type and numbered parameters (PARM) of the Zemax surface, besides CURV and CONI."""
         raise InputError(f"a .zmx file cannot hold a surface of shape {self.NAME}")
 
+    def zemax_extra_data(self) -> dict[int, float]:
+        """Return the extra data (XDAT) of the Zemax surface by number."""
+        return {}
+
     @classmethod
-    def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
-        """Return the keys besides radius_mm and conic of a Zemax surface; None for another surface type."""
+    def keys_of_zemax(
+        cls, kind: str, values: Mapping[int, float], extra_data: Mapping[int, float]
+    ) -> dict[str, Any] | None:
+        """Return the keys besides radius_mm and conic of a Zemax surface; None for another surface type.
+
+        Parameters
+        ----------
+        kind
+            Surface type.
+        values, extra_data
+            Numbered parameters (PARM) and extra data (XDAT).
+        """
         return None
 
     def codev(self) -> tuple[str, dict[str, float]]:

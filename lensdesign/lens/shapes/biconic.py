@@ -151,7 +151,9 @@ class Biconic(FormulaShape):
         return "BICONICX", {1: radius, 2: float(self.terms[3])}
 
     @classmethod
-    def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
+    def keys_of_zemax(
+        cls, kind: str, values: Mapping[int, float], extra_data: Mapping[int, float]
+    ) -> dict[str, Any] | None:
         if kind != "BICONICX":
             return None
         return {"shape": cls.NAME, "radius_x_mm": values.get(1) or None, "conic_x": values.get(2, 0.0)}

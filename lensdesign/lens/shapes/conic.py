@@ -81,7 +81,9 @@ class Conic(FormulaShape):
         return "STANDARD", {}
 
     @classmethod
-    def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
+    def keys_of_zemax(
+        cls, kind: str, values: Mapping[int, float], extra_data: Mapping[int, float]
+    ) -> dict[str, Any] | None:
         return {} if kind == "STANDARD" else None
 
     def codev(self) -> tuple[str, dict[str, float]]:

@@ -117,7 +117,9 @@ class EvenAsphere(Conic):
         return ("EVENASPH", dict(enumerate((0.0, *values), start=1))) if values else ("STANDARD", {})
 
     @classmethod
-    def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
+    def keys_of_zemax(
+        cls, kind: str, values: Mapping[int, float], extra_data: Mapping[int, float]
+    ) -> dict[str, Any] | None:
         if kind != "EVENASPH":
             return None
         return {"asphere": without_zeros([values.get(i, 0.0) for i in ZEMAX_TERMS])}

@@ -30,12 +30,18 @@ from numpy.polynomial import Polynomial
 from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import COEFFICIENTS, DrawnTerms, curvature_of, with_coefficient
 from lensdesign.lens.shapes.conic import Conic
-from lensdesign.lens.shapes.even_asphere import EvenAsphere
+from lensdesign.lens.shapes.even_asphere import EvenAsphere, without_zeros
 from lensdesign.lens.shapes.expanded import ExpandedShape, powers_of_r
 from lensdesign.lens.shapes.sphere_departure import SphereDeparture
 
 Q_TERMS = COEFFICIENTS["q_mm"]
 MOST_Q_TERMS = len(Q_TERMS)
+
+ZEMAX_FORBES_TYPE = "QED_TYPE"
+"""Surface type of Forbes aspheres in OpticStudio. Its extra data are the kind (0 for Qbfs, 1 for Qcon), the
+number of terms, the normalization radius and the terms. The file of an asphere that a vendor published
+(Thorlabs ASL5040-UV) has this order: of all readings of its data, one as Qbfs along the normal of a conic
+alone brings its rays together, within 0.5 µm instead of 100 µm and more."""
 
 
 @cache
@@ -81,6 +87,8 @@ def _coefficients(name: str) -> Array:
 class _ForbesShape(ExpandedShape):
     """A Forbes asphere of either kind, with its keys and their changes."""
 
+    ZEMAX_KIND: ClassVar[float]
+
     @classmethod
     def of_keys(cls, values: Mapping[str, Any]) -> Self:
         conic = [values["conic"]] if "conic" in cls.KEYS else []
@@ -97,6 +105,19 @@ class _ForbesShape(ExpandedShape):
     def scaled_keys(cls, values: Mapping[str, Any], factor: float) -> dict[str, Any]:
         others = {key: value for key, value in values.items() if key != "q_mm"}
         return super().scaled_keys(others, factor) | {"q_mm": tuple(factor * q for q in values["q_mm"])}
+
+    @classmethod
+    def keys_of_zemax(
+        cls, kind: str, values: Mapping[int, float], extra_data: Mapping[int, float]
+    ) -> dict[str, Any] | None:
+        if kind != ZEMAX_FORBES_TYPE or extra_data.get(1, 0.0) != cls.ZEMAX_KIND:
+            return None
+        count = min(MOST_Q_TERMS, int(extra_data.get(2, 0.0)))
+        return {
+            "shape": cls.NAME,
+            "normalization_radius_mm": extra_data.get(3, 0.0),
+            "q_mm": without_zeros([extra_data.get(4 + m, 0.0) for m in range(count)]),
+        }
 
     @property
     def _q_mm(self) -> Array:
@@ -117,6 +138,7 @@ class Qcon(_ForbesShape):
     TERMS: ClassVar[tuple[str, ...]] = ("curvature", "conic", *Q_TERMS)
     PARAMETERS: ClassVar[tuple[str, ...]] = ("radius_mm", "conic", *Q_TERMS)
     FORMULA = EvenAsphere
+    ZEMAX_KIND = 1.0
 
     @staticmethod
     def expansion(count: int, normalization_radius_mm: float) -> Array:
@@ -147,6 +169,7 @@ class Qbfs(_ForbesShape):
     TERMS: ClassVar[tuple[str, ...]] = ("curvature", *Q_TERMS)
     PARAMETERS: ClassVar[tuple[str, ...]] = ("radius_mm", *Q_TERMS)
     FORMULA = SphereDeparture
+    ZEMAX_KIND = 0.0
 
     @staticmethod
     def expansion(count: int, normalization_radius_mm: float) -> Array:
@@ -158,6 +181,13 @@ class Qbfs(_ForbesShape):
     @property
     def kind(self) -> str:
         return self.NAME if np.any(self._q_mm) else self.traced.kind
+
+    def zemax(self) -> tuple[str, dict[int, float]]:
+        return ZEMAX_FORBES_TYPE, {}
+
+    def zemax_extra_data(self) -> dict[int, float]:
+        q_mm = [float(q) for q in self._q_mm]
+        return dict(enumerate([self.ZEMAX_KIND, float(len(q_mm)), self.normalization_radius_mm, *q_mm], 1))
 
     def drawn(self) -> DrawnTerms:
         cosine = " / √(1 − r^2/R^2)" if self.terms[0] else ""

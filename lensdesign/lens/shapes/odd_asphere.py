@@ -124,7 +124,9 @@ class OddAsphere(Conic):
         return FormulaShape.codev(self)
 
     @classmethod
-    def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
+    def keys_of_zemax(
+        cls, kind: str, values: Mapping[int, float], extra_data: Mapping[int, float]
+    ) -> dict[str, Any] | None:
         if kind != "ODDASPHE":
             return None
         return {

