@@ -14,6 +14,7 @@ SCRIPTS = (
     "asphere_speed",
     "trace_limit",
     "as_built",
+    "q_type_yield",
     "wavefronts",
     "budgets",
     "monte_carlo_speed",

@@ -51,6 +51,13 @@ class MouldingCheck:
     is_guideline
         Whether the limit is a published guideline. The limits that a design states, and those that follow
         from other values of it, are binding.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, moulding_checks
+    >>> draft = moulding_checks(load_design("designs/phone_lens.toml"))[0]
+    >>> draft.name, draft.value_text, draft.met
+    ('draft of the edge', 'not stated ≥ 1°', None)
     """
 
     element: int
