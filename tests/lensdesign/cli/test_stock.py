@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from places import DESIGNS
-from programs import Command
+from programs import Command, run_program
 from vendor_folder import write_vendors
 
 SPEC = DESIGNS / "stock_pair_spec.toml"
@@ -38,6 +38,25 @@ def test_every_design_that_is_written_passes_the_check(
     assert status == 0
     assert "0 of them read now" in printed
     assert rows[0]["lenses"].split(" + ")[0].split()[0] in printed
+
+
+def test_the_yield_of_a_stock_lens_is_that_of_a_study_of_its_design(
+    vendors: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, study = tmp_path / "found", tmp_path / "study.toml"
+
+    def run(name: str, *arguments: object) -> str:
+        ended = run_program(monkeypatch, capsys, name, *arguments)
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout
+
+    options = ("--keep", 1, "--workers", 1, "--tolerances", "precision", "--json")
+    (match,) = json.loads(run("lensdesign", "stock", vendors, "--spec", SPEC, "-o", out, *options))["matches"]
+    run("tolerancing", "start", match["design"], "--grade", "precision", "-o", study)
+    predicted = json.loads(run("tolerancing", "predict", study, "--json"))["yield"]
+    assert 0.05 < predicted < 0.95
+    assert match["predicted_yield"] == pytest.approx(predicted, abs=1e-3)
+    assert match["yield"] is None  # no trials were asked for
 
 
 def test_an_unmet_specification_writes_the_nearest_lens(
