@@ -20,7 +20,7 @@ from benchmarks.timing import DESIGNS, Row, interleaved, print_table
 from benchmarks.trace_speed import PLANE_DISTANCE_MM, random_rays
 from lensdesign import load_design, trace
 from lensdesign.lens.shapes.even_asphere import EvenAsphere
-from lensdesign.lens.shapes.registry import Formulas, formula_classes, needed_formulas, padded_count
+from lensdesign.lens.shapes.registry import FormulaLengths, formula_classes, needed_formulas, padded_count
 from lensdesign.raytrace.conic_kernel import BLOCK, through_conic
 from lensdesign.raytrace.shape_kernel import through_shape
 
@@ -72,7 +72,7 @@ def conics(ray: Any, after: Any, work: Any, repeats: int) -> None:
 
 @_jit
 def aspheres(
-    ray: Any, after: Any, work: Any, terms: Any, formulas: Formulas, code: int, repeats: int
+    ray: Any, after: Any, work: Any, terms: Any, formulas: FormulaLengths, code: int, repeats: int
 ) -> None:
     """The kernel's own steps through an even asphere on one block in the first cache."""
     for _ in range(repeats):

@@ -176,8 +176,10 @@ class _Checks:
                 "gate", "gate flat to clear aperture", None, ">=", "min_gate_clearance_mm", "mm"
             )
             return
-        clear_mm = max(m.surface.semi_diameter_mm or 0.0 for m in (element.front, element.back))
-        clearance = element.outer_mm - gate.flat_depth_mm - clear_mm
+        clear_mm = [m.surface.semi_diameter_mm for m in (element.front, element.back)]
+        known_mm = [semi for semi in clear_mm if semi is not None]
+        is_known = len(known_mm) == len(clear_mm)
+        clearance = element.outer_mm - gate.flat_depth_mm - max(known_mm) if is_known else None
         yield self._limited(
             "gate", "gate flat to clear aperture", clearance, ">=", "min_gate_clearance_mm", "mm"
         )
@@ -246,7 +248,8 @@ class _Checks:
         # The insert is the counterpart of the surface: it is concave where the element is convex.
         for (number, sections), convex in zip(self._surfaces(), (1.0, -1.0), strict=True):
             curvature = max(_largest_curvature_per_mm(section, convex) for section in sections)
-            radius = 1.0 / curvature if curvature > 0.0 else math.inf
+            # Six digits, since the curvature of the sampled meridian is not more exact.
+            radius = float(f"{1.0 / curvature:.6g}") if curvature > 0.0 else math.inf
             name = f"smallest concave radius of the insert of surface {number}"
             yield self._result("tool_radius", name, radius, ">=", _by_geometry(tool_mm, TOOL), "mm")
 
@@ -283,7 +286,7 @@ class _Checks:
         is_guideline = limit is not None and limit.sources[0].address != ""
         met: bool | None = None
         if value is None:
-            miss = f"{element}: not stated in the design's [[edge]]"
+            miss = f"{element}: the design does not state it"
         elif limit is None:
             miss = f"{element}: no published limit is known for {self.family}; state [moulding] {key}"
         else:

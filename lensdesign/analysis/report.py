@@ -186,7 +186,8 @@ class CheckReport:
         return not any(check.is_missed for check in self.moulding)
 
     def __repr__(self) -> str:
-        met = "every constraint met" if self.feasible else f"not met: {len(self.violations)}"
+        missed = len(self.violations) + sum(check.is_missed for check in self.moulding)
+        met = f"not met: {missed}" if missed else "every constraint met"
         return (
             f"<CheckReport {self.title!r}: {met}, spread {self.max_spread_deg:.4f} of "
             f"{self.spread_limit_deg:.4f}°, resolution {self.resolution_um:.4g} µm>"

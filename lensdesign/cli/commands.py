@@ -333,8 +333,10 @@ def _print_check(report: CheckReport) -> None:
     print_tables(constraints, *([_moulding_table(report)] if report.moulding else []), figures)
     for source, number in _moulding_sources(report).items():
         typer.echo(f"source {number}: {source}")
-    for key in dict.fromkeys(m.limit_key for m in report.moulding if m.limit is None):
-        typer.echo(f"no published limit is known for this material: set {key} in [moulding]")
+    for element, key in dict.fromkeys((m.element, m.limit_key) for m in report.moulding if m.limit is None):
+        typer.echo(
+            f"element {element}: no published limit is known for its material: set {key} in [moulding]"
+        )
     if edge is not None and not edge.fits:
         typer.echo(
             f"not drawable with general tolerances: {edge.element}: bevels and thickness tolerance take "

@@ -94,7 +94,9 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         "plane_distances_mm": planes,
     }
     requested = supplement.numerical_aperture is not None
-    stated = tuple(_first_given(row.semi_diameter_mm, row.automatic_mm) for row in rows[1:-1])
+    stated = tuple(
+        _first_given(row.glass_semi_diameter_mm, row.semi_diameter_mm, row.automatic_mm) for row in rows[1:-1]
+    )
     rows, filled = _with_stop(rows, draft, values, catalogs, requested)
     surfaces = _surfaces(rows, draft)
     missing = [name for name, value in values.items() if value is None]
@@ -169,9 +171,11 @@ def merge_touching_stop(rows: Sequence[SurfaceRow], draft: Draft) -> list[Surfac
     is_plane = row.radius_mm is None and not any(row.shape.values()) and row.axes is None
     if not i or not is_plane or row.material is not None:
         return list(rows)
+    if before.material is not None:  # the plane is the back of a lens
+        return list(rows)
     if row.thickness_mm == 0.0 and i + 1 < len(rows) - 1 and behind.axes is None:
         touched, distance_mm = i + 1, behind.thickness_mm
-    elif before.thickness_mm == 0.0 and i > 1 and before.axes is None and before.material is None:
+    elif before.thickness_mm == 0.0 and i > 1 and before.axes is None:
         touched, distance_mm = i - 1, row.thickness_mm
     else:
         return list(rows)
@@ -182,7 +186,13 @@ def merge_touching_stop(rows: Sequence[SurfaceRow], draft: Draft) -> list[Surfac
     else:
         draft.add_loss(f"{text}, which has a sag")
     semis = [r.semi_diameter_mm for r in (row, surface) if r.semi_diameter_mm is not None]
-    merged = replace(surface, stop=True, semi_diameter_mm=min(semis, default=None), thickness_mm=distance_mm)
+    merged = replace(
+        surface,
+        stop=True,
+        semi_diameter_mm=min(semis, default=None),
+        glass_semi_diameter_mm=surface.semi_diameter_mm,
+        thickness_mm=distance_mm,
+    )
     kept = list(rows)
     kept[touched] = merged
     del kept[i]

@@ -199,7 +199,8 @@ class SurfaceRow:
 
     If `axes` is given, the row is a coordinate break. `shape` holds the keys of a design file that describe
     the shape, except radius and conic constant, and `shape_class` is its class. `automatic_mm` is a
-    semi-diameter that the other program computed from rays; it does not clip.
+    semi-diameter that the other program computed from rays; it does not clip. `glass_semi_diameter_mm` is
+    that of the surface itself if a stop that touches it clips more.
     """
 
     name: str
@@ -214,6 +215,7 @@ class SurfaceRow:
     axes: CoordinateBreak | None = None
     automatic_mm: float | None = None
     shape_class: type[Shape] = EvenAsphere
+    glass_semi_diameter_mm: float | None = None
 
     def scaled(self, factor: float) -> SurfaceRow:
         """Return the row with all lengths multiplied by a factor."""
@@ -234,6 +236,7 @@ class SurfaceRow:
             thickness_mm=factor * self.thickness_mm,
             semi_diameter_mm=times(self.semi_diameter_mm),
             automatic_mm=times(self.automatic_mm),
+            glass_semi_diameter_mm=times(self.glass_semi_diameter_mm),
             axes=axes,
         )
 
@@ -551,7 +554,8 @@ def _glass_of_catalogues(
         known.setdefault(catalog.casefold().removesuffix(".agf"), catalog)
     named = [known[key] for maker in makers if (key := maker.casefold().removesuffix(".agf")) in known]
     for catalog in dict.fromkeys([*(c for c in named if c in own), *own, *named]):
-        if catalog not in own and names_schott and name.upper() in REPLACED_SCHOTT_GLASSES:
+        is_schott = catalog not in own and catalog.casefold() == "schott"
+        if is_schott and names_schott and name.upper() in REPLACED_SCHOTT_GLASSES:
             break
         alike = [n for n, c in listed if c == catalog and normalized_name(n) == normalized_name(name)]
         exact = [n for n in alike if n.casefold() == name.casefold()] or alike

@@ -110,7 +110,7 @@ def write_lens_file(lens: Lens, path: str | os.PathLike[str]) -> None:
 
 def _format_of(path: str | os.PathLike[str], verb: str, formats: Mapping[str, LensFormat]) -> LensFormat:
     suffix = Path(path).suffix.lower()
-    if suffix in ARCHIVES:
+    if suffix in ARCHIVES and formats is not WRITTEN_LENS_FORMATS:
         raise InputError(f"cannot {verb} {path}: {ARCHIVES[suffix]}")
     if suffix not in formats:
         raise InputError(f"cannot {verb} {path}: the name must end in {' or '.join(formats)}")

@@ -42,6 +42,7 @@ from lensdesign.files.draft import (
     check_writable,
     field_height_reader,
     find_glass,
+    find_glass_of_unknown_maker,
     losses_named,
     note_lines,
     parse_number,
@@ -300,7 +301,8 @@ def _check_forbes(reader: FileReader, surface: FileSurface) -> None:
         )
     if kind not in (0.0, 1.0):
         reader.draft.add_loss(
-            f"{surface.name}: Forbes asphere of kind {kind:g}, neither 0 (Qbfs) nor 1 (Qcon)"
+            f"{surface.name}: Forbes asphere of kind {kind:g}, neither 0 (Qbfs) nor 1 (Qcon), read as "
+            "STANDARD"
         )
     if kind == 0.0 and surface.conic:
         reader.draft.add_loss(
@@ -341,7 +343,11 @@ def _material(
     def remark(message: str) -> None:
         reader.draft.add_remark(f"{surface.name}: {message}")
 
-    found = find_glass(name, reader.makers, supplement.glass_catalogs, surface.glass_location, remark)
+    catalogs, location = supplement.glass_catalogs, surface.glass_location
+    if reader.makers:
+        found = find_glass(name, reader.makers, catalogs, location, remark)
+    else:
+        found = find_glass_of_unknown_maker(name, catalogs, location, remark)
     _remark_catalogues(reader, surface.name, found, supplement)
     return found
 
@@ -527,10 +533,10 @@ def read_record(reader: FileReader, word: str, values: list[str], location: str,
     elif word in _APERTURES:
         _drop_trailing_records(reader)
         reader.draft.add_loss(f"{surface.name}: {_APERTURES[word]}, {word} {quoted(' '.join(values))}")
-    elif indented and not _is_supported(surface.kind) and not reader.in_trailing_block:
-        return  # data of a surface type whose name is a loss already
     elif word in SOLVES and not reader.in_trailing_block:
         reader.draft.add_remark(f"{surface.name}: {word} solve or pickup replaced by its present value")
+    elif indented and not _is_supported(surface.kind) and not reader.in_trailing_block:
+        return  # data of a surface type whose name is a loss already
     elif reader.in_trailing_block or not indented:
         reader.trailing_records.append(f"{surface.name}: {word} {quoted(' '.join(values))}")
     else:

@@ -216,12 +216,13 @@ class Lens(FrozenModel):
                 inner = radius - bevel_mm if flat_mm is None else flat_mm
                 clear = self.surfaces[j].semi_diameter_mm or 0.0
                 if inner < clear or inner <= 0.0 or inner > radius - bevel_mm:
+                    is_narrowed = radius < edge_mm
+                    narrowed = f", which its draft narrows to {radius:.6g} mm there," if is_narrowed else ""
+                    flat = f"flat from {flat_mm:g} mm and " if flat_mm is not None else ""
                     raise ValueError(
-                        f"edge {number}: the cylinder of semi_diameter_mm = {edge_mm:g} leaves no room for "
-                        f"surface {j + 1} (clear semi-diameter {clear:g} mm), its "
-                        + (f"flat from {flat_mm:g} mm and " if flat_mm is not None else "")
-                        + f"bevel of {bevel_mm:g} mm"
-                        + (f" behind its draft to a radius of {radius:.6g} mm" if radius < edge_mm else "")
+                        f"edge {number}: the cylinder of semi_diameter_mm = {edge_mm:g}{narrowed} leaves no "
+                        f"room for surface {j + 1} (clear semi-diameter {clear:g} mm), its {flat}bevel of "
+                        f"{bevel_mm:g} mm"
                     )
             validate_edge(element)
         for number in (self.moulding and self.moulding.elements) or ():

@@ -218,7 +218,7 @@ LIMITS: dict[str, dict[Family, MouldingLimit]] = {
     "max_thickness_mm": {
         "PMMA": _wall(12.7, *_PMMA_WALLS),
         "PC": _wall(3.81, *_PC_WALLS),
-        "PS": _wall(3.81, *_PS_WALLS),
+        "PS": MouldingLimit(3.81, (LimitSource(_PLASTOPIA, _WALLS, "wall thickness 0.889 to 3.81 mm"),)),
     },
     "max_thickness_ratio": dict.fromkeys(
         PLASTIC_FAMILIES,
@@ -307,7 +307,7 @@ class Moulding(FrozenModel):
     min_gate_thickness_ratio, max_gate_thickness_ratio
         Range of the gate's thickness divided by that of the edge, or of the flange if there is one.
     min_thickness_mm, max_thickness_mm
-        Range of the thickness at the centre and of the edge.
+        Range of the thickness at the centre, of the edge and of a flange.
     max_thickness_ratio
         Largest ratio of the thicknesses at the centre and of the edge, the larger over the smaller.
     max_slope_deg

@@ -16,7 +16,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation, Value, trial_count
 from lensdesign.lens.shapes.base import Shape, term_of
 from lensdesign.lens.shapes.intersection import SagError, sag_and_slopes
-from lensdesign.lens.shapes.registry import Formulas, code_of, needed_formulas, padded_count
+from lensdesign.lens.shapes.registry import FormulaLengths, code_of, needed_formulas, padded_count
 from lensdesign.lens.surface import Surface
 from lensdesign.lens.surface_figure import SurfaceFigure, packed_surface_figures
 
@@ -79,7 +79,7 @@ class CompiledSystem:
     @cached_property
     def for_kernel(
         self,
-    ) -> tuple[NDArray[np.int8] | None, Formulas, Array, Array, tuple[NDArray, ...] | None]:
+    ) -> tuple[NDArray[np.int8] | None, FormulaLengths, Array, Array, tuple[NDArray, ...] | None]:
         """Packed shapes, with the formulas that they need, and figures for the ray kernel.
 
         Codes and figures are None if no surface needs them.

@@ -99,7 +99,7 @@ class GradientTrace:
 
 
 def at_wavelengths(systems: Sequence[CompiledSystem]) -> CompiledSystem:
-    """Return one system for all wavelengths, whose trials are given ones that differ in their index alone."""
+    """Return one system with a trial for each wavelength; trials differ only in their refractive index."""
     index = np.concatenate([system.index for system in systems])
     return replace(systems[0], trials=len(systems), index=index)
 

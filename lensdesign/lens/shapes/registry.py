@@ -38,7 +38,7 @@ TERM_COUNTS = (4, 8, 12)
 """Numbers of terms to which arrays of terms are padded."""
 
 
-Formulas = tuple[tuple[None, ...], ...]
+FormulaLengths = tuple[tuple[None, ...], ...]
 """For each formula but the first, a tuple as long as the sums of terms that are compiled for it; empty if the
 formula is not needed, or its sums are not unrolled. Numba compiles a kernel for each type of its arguments,
 and the lengths of tuples belong to their type."""
@@ -89,7 +89,7 @@ def unrolled_count(code: int, terms: int) -> int:
 
 
 @cache
-def needed_formulas(codes: bytes, terms: int) -> Formulas:
+def needed_formulas(codes: bytes, terms: int) -> FormulaLengths:
     """Return the formulas that a kernel needs, for the codes of all surfaces and their number of terms."""
     return tuple(
         (None,) * max(1, unrolled_count(code, terms)) if code in codes else ()

@@ -98,3 +98,10 @@ def test_what_no_file_of_the_format_can_hold_is_not_written(path: Path, paper_le
 def test_files_that_are_not_text_are_refused_with_advice(tmp_path: Path, suffix: str) -> None:
     with pytest.raises(InputError, match=r"Zemax OpticStudio; .*\.zmx"):
         read_lens_file(tmp_path / f"lens{suffix}")
+
+
+def test_names_of_archives_are_refused_for_writing_with_the_allowed_ones(
+    tmp_path: Path, paper_lens: Lens
+) -> None:
+    with pytest.raises(InputError, match=r"cannot write .*lens\.zar: the name must end in \.zmx or \.seq"):
+        write_lens_file(paper_lens, tmp_path / "lens.zar")

@@ -675,6 +675,22 @@ def test_a_catalogue_that_is_not_at_hand_is_said(tmp_path: Path) -> None:
     assert not any("also names" in r for r in read_zmx(saved(tmp_path, SINGLET), SENSOR).remarks)
 
 
+def test_without_catalogues_a_former_glass_is_not_that_of_another_maker(tmp_path: Path) -> None:
+    """CDGM has an F7 with another index than Schott's."""
+    text = SINGLET.replace("GCAT SCHOTT", "NOTE 0 no catalogue").replace("N-BK7", "F7")
+    with pytest.raises(MaterialError, match="glass 'F7' is known from CDGM alone"):
+        read_zmx(saved(tmp_path, text), SENSOR)
+
+
+def test_a_former_glass_of_schott_is_that_of_a_maker_whom_the_file_names_before(tmp_path: Path) -> None:
+    for gcat, maker in (("LZOS SCHOTT", "LZOS:BK10"), ("SCHOTT LZOS", "N-BK10")):
+        text = SINGLET.replace("GCAT SCHOTT", f"GCAT {gcat}").replace("N-BK7", "BK10")
+        assert read_zmx(saved(tmp_path, text), SENSOR).lens.surfaces[0].material in (
+            maker,
+            maker.split(":")[-1],
+        )
+
+
 def test_a_glass_of_an_own_catalogue_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
     own = tmp_path / "own.agf"
     own.write_text(

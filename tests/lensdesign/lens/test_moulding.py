@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from places import DESIGNS
+from places import DESIGNS, ROOT
 
 from lensdesign.errors import DesignError
 from lensdesign.files.design import load_design, save_design
@@ -112,3 +112,12 @@ def test_a_design_file_keeps_its_settings(paper_lens: Lens, tmp_path: Path) -> N
     lens = paper_lens.replaced(moulding=Moulding(process="pressed_glass", off=("sag",), max_slope_deg=40.0))
     save_design(lens, tmp_path / "lens.toml")
     assert load_design(tmp_path / "lens.toml") == lens
+
+
+def test_the_page_has_every_limit_and_the_addresses_of_its_sources() -> None:
+    page = (ROOT / "docs" / "making.md").read_text(encoding="utf-8")
+    for limits in LIMITS.values():
+        for limit in limits.values():
+            assert f"{limit.value:g}" in page
+            for source in limit.sources:
+                assert source.address in page

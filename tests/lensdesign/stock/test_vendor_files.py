@@ -92,6 +92,13 @@ def test_a_stop_plane_at_the_vertex_does_not_change_the_glass(tmp_path: Path) ->
     assert [surface.radius_mm for surface in surfaces] == [25.75, None]
 
 
+def test_a_smaller_stop_plane_at_the_vertex_is_not_the_size_of_the_glass(tmp_path: Path) -> None:
+    text = zmx_text("LA1131", LA1131, 11.43, True)
+    touching = text.replace("  DISZ 5.0", "  DISZ 0.0").replace("DIAM 11.43 0 0 0 1", "DIAM 3.0 1 0 0 1")
+    _, surfaces = read(tmp_path, touching)
+    assert [surface.semi_diameter_mm for surface in surfaces] == [11.43, 11.43]
+
+
 def test_all_lens_files_below_the_folder_are_found(tmp_path: Path) -> None:
     write_vendors(tmp_path)
     (tmp_path / "again").symlink_to(tmp_path)
