@@ -87,8 +87,7 @@ class Toroid(FormulaShape):
             power = power * y2
             curve = curve + terms[j] * power
         d, u = 1.0 - across * curve, across * x
-        s = np.sqrt(d * d - u * u)
-        s = s if d > 0.0 else -s
+        s = np.copysign(np.sqrt(d * d - u * u), d)  # negative beyond the axis of rotation
         level = z - curve - 0.5 * across * (x * x + z * z - curve * curve)
         return 2.0 * level * s, 1.0 - across * z + s, -u, -2.0 * slope * y * d, s
 

@@ -237,6 +237,8 @@ def test_residual_and_normal_are_those_of_the_sag(x: float, y: float, above: flo
     assert top / (bottom * nz) == pytest.approx(above, rel=1e-11, abs=1e-14)
     assert nx / nz == pytest.approx(-by_x, rel=1e-12, abs=1e-13)
     assert ny / nz == pytest.approx(-by_y, rel=1e-12, abs=1e-13)
+    points = np.array([x, -x]), np.array([y, y]), np.array([sag, sag + above])
+    assert np.shape(shape.residual_and_normal(terms, *points)[0]) == (2,)
 
 
 def test_a_kernel_gets_the_formulas_of_its_surfaces_with_the_number_of_unrolled_terms() -> None:
