@@ -269,7 +269,7 @@ class _Edged(NamedTuple):
 
 def general_margin(element: Element) -> EdgeMargin:
     """Return the margin that the general tolerances of an element's size need at its edge."""
-    thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
+    thickness = element.center_thickness_mm
     margin = general_edge(max(2.0 * element.edge_mm, thickness)).margin
     bevel_mm = max(bevel for _, bevel in element.edge.sides())
     if bevel_mm or element.edge.flange is not None:

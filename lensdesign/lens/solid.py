@@ -2,9 +2,9 @@
 
 An element is bounded by two optical surfaces, each extended with its own sag, and by its edge: a cylinder, or
 the frustum of a cone if it has a draft, with flat rings, bevels at 45 degrees and a flange where the design
-has them. A surface whose conic ends
-inside that edge continues as a flat ring from its clear semi-diameter. If the body is not rotationally
-symmetric, flat rings and bevels follow the rim of their surface. The flat of a gate is not part of the solid.
+has them. A surface whose conic ends inside that edge continues as a flat ring from its clear semi-diameter.
+If the body is not rotationally symmetric, flat rings and bevels follow the rim of their surface. The flat of
+a gate is not part of the solid.
 """
 
 from __future__ import annotations

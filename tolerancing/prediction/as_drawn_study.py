@@ -80,7 +80,7 @@ def drawing_indications(
     stated = {key for p in study.perturbations if (key := indication_key(p, lens)) and stated_value(p, lens)}
     found = dict[Key, DrawingIndication]()
     for element, sheet in zip(glass_elements(lens), sheets, strict=True):
-        size = max(2.0 * element.edge_mm, element.back.vertex_z_mm - element.front.vertex_z_mm)
+        size = max(2.0 * element.edge_mm, element.center_thickness_mm)
         general = general_tolerances(min(size, max(GENERAL)))
         for kind, fields in FIELDS.items():
             for surface in element.surfaces[:1] if kind in OF_ELEMENT else element.surfaces:

@@ -84,24 +84,22 @@ def term_derivatives(formulas: Any, code: int, terms: Any, j: int, x: float, y: 
     raise NotImplementedError("compiled code only")
 
 
-@overload(sag_and_gradient, inline="always")
-def _sag_and_gradient(formulas: Any, code: Any, terms: Any, x: Any, y: Any) -> Any:
-    chosen = _chosen("sag_and_gradient", lengths_of(formulas))
+def _implementation(name: str) -> Callable[..., Any]:
+    """Return Numba's implementation of a function of a point by its name."""
 
-    def implementation(formulas: Any, code: Any, terms: Any, x: Any, y: Any) -> Any:
-        return chosen(code, terms, x, y)
+    def of_types(formulas: Any, code: Any, terms: Any, x: Any, y: Any) -> Any:
+        chosen = _chosen(name, lengths_of(formulas))
 
-    return implementation
+        def implementation(formulas: Any, code: Any, terms: Any, x: Any, y: Any) -> Any:
+            return chosen(code, terms, x, y)
+
+        return implementation
+
+    return of_types
 
 
-@overload(sag_hessian, inline="always")
-def _sag_hessian(formulas: Any, code: Any, terms: Any, x: Any, y: Any) -> Any:
-    chosen = _chosen("sag_hessian", lengths_of(formulas))
-
-    def implementation(formulas: Any, code: Any, terms: Any, x: Any, y: Any) -> Any:
-        return chosen(code, terms, x, y)
-
-    return implementation
+overload(sag_and_gradient, inline="always")(_implementation("sag_and_gradient"))
+overload(sag_hessian, inline="always")(_implementation("sag_hessian"))
 
 
 @overload(term_derivatives, inline="always")

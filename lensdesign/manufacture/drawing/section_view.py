@@ -141,7 +141,7 @@ def section_view(element: Element, tolerances: DrawingTolerances, area: Area) ->
     largest = min(width / length, height / (2.0 * element.outer_mm))
     scale = max((s for s in SCALES if s <= largest), default=SCALES[0])
     body = _body_on_paper(element, front, back, scale, area)
-    thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
+    thickness = element.center_thickness_mm
     items = [*_outline(body), *_hatching(body), *_axis(body), *_names(body)]
     items += _clear_diameters(body, element)
     items += _ground_diameter(body, _toleranced(2.0 * element.edge_mm, tolerances, "diameter_mm", "Ø "))

@@ -219,7 +219,7 @@ def element_tolerances(
     base = options.tolerances[element.index] if element.index < len(options.tolerances) else None
     general = base is None
     if base is None:
-        thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
+        thickness = element.center_thickness_mm
         try:
             base = general_tolerances(max(2.0 * element.edge_mm, thickness))
         except InputError as error:

@@ -147,7 +147,7 @@ def semantic_tolerances(element: Element, tolerances: DrawingTolerances) -> Sema
     )
     cylinders = () if any(element.draft_mm) else walls
     front, back = 0, len(corners)
-    thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
+    thickness = element.center_thickness_mm
     # OCP 8.0 writes geometric tolerances in metres if the file has no dimension.
     dimensions = [Dimension("linear distance", ((front,), (back,)), thickness, tolerances.thickness_mm)]
     if cylinders:
