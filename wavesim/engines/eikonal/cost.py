@@ -18,7 +18,7 @@ from wavesim.engines.eikonal.super_tiles import SharedTileData, SuperTile
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane
 from wavesim.rays.maps import BLOCK, RayMap
-from wavesim.runtime.memory import COMPLEX64, COMPLEX128, FLOAT32, FLOAT64
+from wavesim.runtime.memory import COMPLEX64, COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
@@ -178,7 +178,7 @@ def _bytes(
             terms = max(terms, (FACTOR_ORDER[True] + 1) * (FLOAT64 + COMPLEX128))
         making += min(size.points, BLOCK) * terms
     elif size.taps:
-        making = max(making, (FLOAT32 + 1) * size.window)
+        making = max(making, (COMPLEX64 + 1) * size.window)
     own = size.coarse if size.taps else size.window
     using = min(count, THREADS) * value_bytes * (2 * rank * size.points + rank * size.modes + own)
     waiting = value_bytes * (min(count, GROUP) * own + size.between)
