@@ -6,6 +6,7 @@ from .files.codev import read_seq, write_seq
 from .files.design import load_design, save_design
 from .files.oslo import read_len
 from .files.zemax import read_zmx, write_zmx
+from .lens.coatings.coating import Coating, CoatingLayer
 from .lens.edges import Edge, Flange, Gate
 from .lens.glass import get_material
 from .lens.lens import Lens, ObjectSpace, Sensor
@@ -27,12 +28,15 @@ from .plots.glb import write_scene
 from .plots.page import write_view
 from .plots.plots import draw_all
 from .raytrace.bundles import launch, pupil_hexapolar
+from .raytrace.polarization import PolarizedRays, trace_polarized
 from .raytrace.rays import RayTrace, trace
 from .stock.index import StockIndex, index_stock
 from .stock.search import StockResult, StockSettings, find_stock_lenses
 
 __all__ = [
     "CheckReport",
+    "Coating",
+    "CoatingLayer",
     "DesignError",
     "Edge",
     "Flange",
@@ -44,6 +48,7 @@ __all__ = [
     "MouldingCheck",
     "ObjectSpace",
     "OptimizationResult",
+    "PolarizedRays",
     "Pose",
     "RayTrace",
     "Sensor",
@@ -74,6 +79,7 @@ __all__ = [
     "save_design",
     "scaled",
     "trace",
+    "trace_polarized",
     "verify_mesh",
     "write_drawing",
     "write_mesh",

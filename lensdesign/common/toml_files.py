@@ -183,7 +183,7 @@ def _location(loc: tuple[int | str, ...]) -> str:
 
 
 def _is_union_branch(item: str) -> bool:
-    starts = ("constrained-", "function-", "literal[", "tuple[")
+    starts = ("branch-", "constrained-", "function-", "literal[", "tuple[")
     return item in {"str", "float", "int", "bool", "none"} or item.startswith(starts)
 
 

@@ -14,7 +14,9 @@ from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError
+from lensdesign.files.surface_coatings import compile_coatings
 from lensdesign.files.surface_figures import check_surface_figures
+from lensdesign.lens.coatings.coating import Coating
 from lensdesign.lens.edges import Edge, Flange, Gate
 from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
@@ -77,17 +79,20 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
     validate_kind(data, path, "design")
     lens = validated_lens(Lens, data, path)
     catalogs = tuple((path.parent / c).resolve() for c in lens.glass_catalogs)
-    surfaces = tuple(_with_resolved_figure_file(surface, path.parent) for surface in lens.surfaces)
+    surfaces = tuple(_with_resolved_files(surface, path.parent) for surface in lens.surfaces)
     for catalog in catalogs:
         validate_inside(catalog, path, "glass_catalogs", DesignError)
     for index, surface in enumerate(surfaces, start=1):
         if surface.figure is not None and surface.figure.file is not None:
             validate_inside(surface.figure.file, path, f"surface {index}, figure, file", DesignError)
+        if isinstance(surface.coating, Coating) and surface.coating.file is not None:
+            validate_inside(surface.coating.file, path, f"surface {index}, coating, file", DesignError)
     lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces})
     try:
         check_surface_figures(lens)
         for wavelength in lens.wavelengths_um:
             lens.indices(wavelength)
+            compile_coatings(lens, wavelength)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     return lens
@@ -204,7 +209,7 @@ def _suspicious_lengths(data: Mapping[str, Any]) -> list[str]:
             for edge in data.get("edge", ())
         ]
         surfaces = [
-            Surface.model_construct(**{key: table[key] for key in table if key != "figure"})
+            Surface.model_construct(**{key: table[key] for key in table if key not in ("figure", "coating")})
             for table in data["surface"]
         ]
         lens = Lens.model_construct(
@@ -219,12 +224,16 @@ def _suspicious_lengths(data: Mapping[str, Any]) -> list[str]:
         return []  # the tables have another fault, which the caller reports
 
 
-def _with_resolved_figure_file(surface: Surface, folder: Path) -> Surface:
-    """Return the surface with an absolute path of its figure's file, if it has one."""
-    if surface.figure is None or surface.figure.file is None:
-        return surface
-    figure = surface.figure.model_copy(update={"file": (folder / surface.figure.file).resolve()})
-    return surface.model_copy(update={"figure": figure})
+def _with_resolved_files(surface: Surface, folder: Path) -> Surface:
+    """Return the surface with absolute paths of the files of its figure and coating."""
+    changes = {
+        name: source.model_copy(update={"file": (folder / source.file).resolve()})
+        for name in ("figure", "coating")
+        if (source := getattr(surface, name)) is not None
+        and not isinstance(source, str)
+        and source.file is not None
+    }
+    return surface.model_copy(update=changes) if changes else surface
 
 
 def save_design(lens: Lens, path: str | os.PathLike[str]) -> None:
@@ -273,6 +282,8 @@ def design_text(lens: Lens, folder: Path = Path()) -> str:
         data["glass_catalogs"] = [os.path.relpath(c, folder.resolve()) for c in lens.glass_catalogs]
     data["surface"][lens.stop_index]["stop"] = True  # in memory, the stop may be implicit
     for surface, table in zip(lens.surfaces, data["surface"], strict=True):
-        if surface.figure is not None and surface.figure.file is not None:
-            table["figure"]["file"] = os.path.relpath(surface.figure.file, folder.resolve())
+        for name in ("figure", "coating"):
+            source = getattr(surface, name)
+            if source is not None and not isinstance(source, str) and source.file is not None:
+                table[name]["file"] = os.path.relpath(source.file, folder.resolve())
     return tomli_w.dumps(data)

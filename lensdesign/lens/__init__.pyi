@@ -1,3 +1,6 @@
+from .coatings.coating import Coating, CoatingLayer, SurfaceCoating
+from .coatings.film_materials import film_index
+from .coatings.thin_films import Coefficients, film_coefficients
 from .edges import Edge, Flange, Gate
 from .glass import get_material, glass_summary, list_glasses, refractive_index
 from .lens import Lens, ObjectSpace, Sensor
@@ -13,6 +16,9 @@ from .temperature import lens_at_temperature
 from .zernikes import zernike, zernike_orders
 
 __all__ = [
+    "Coating",
+    "CoatingLayer",
+    "Coefficients",
     "Edge",
     "Element",
     "Flange",
@@ -23,11 +29,14 @@ __all__ = [
     "Pose",
     "Sensor",
     "Surface",
+    "SurfaceCoating",
     "SurfaceFigure",
     "SurfaceFigureSource",
     "SurfaceMeridian",
     "SurfacePerturbation",
     "closed_elements",
+    "film_coefficients",
+    "film_index",
     "get_material",
     "glass_summary",
     "lens_at_temperature",

@@ -90,6 +90,8 @@ class SurfacePerturbation:
         Change of the distance to the next surface; it moves every surface behind this one.
     index
         Change of the refractive index of the medium behind the surface.
+    coating_thickness_percent
+        Relative change of the thicknesses of all films of the coating; it does not change the rays.
     shape
         Changes of further parameters of the shape, by their names, such as ``radius_x_mm``.
     figure
@@ -117,6 +119,7 @@ class SurfacePerturbation:
     conic: Value = 0.0
     thickness_mm: Value = 0.0
     index: Value = 0.0
+    coating_thickness_percent: Value = 0.0
     shape: Mapping[str, Value] = field(default_factory=dict)
     figure: SurfaceFigure | None = None
 

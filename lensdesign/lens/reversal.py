@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from lensdesign.errors import DesignError
+from lensdesign.lens.coatings.coating import Coating, SurfaceCoating
+from lensdesign.lens.glass import is_air
 from lensdesign.lens.surface import Surface
 
 
@@ -22,7 +24,7 @@ def reversed_surfaces(surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
     Raises
     ------
     DesignError
-        If a surface has a measured figure, which would have to be turned around, too.
+        If a surface has a measured figure or coating, which would have to be turned around, too.
 
     Examples
     --------
@@ -33,12 +35,27 @@ def reversed_surfaces(surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
     """
     if any(surface.figure is not None for surface in surfaces):
         raise DesignError("surfaces with measured figures cannot be turned around; remove the figures")
+    if any(isinstance(s.coating, Coating) and s.coating.file is not None for s in surfaces):
+        raise DesignError("coatings with measured amplitudes cannot be turned around; remove them")
     spaces = [(front.thickness_mm, front.material) for front, _ in pairwise(surfaces)]
     behind = [*reversed(spaces), (None, None)]
     return tuple(
-        surface.replaced(**mirrored_keys(surface), thickness_mm=thickness_mm, material=material)
+        surface.replaced(
+            **mirrored_keys(surface),
+            thickness_mm=thickness_mm,
+            material=material,
+            coating=_turned_coating(surface, is_air(material)),
+        )
         for surface, (thickness_mm, material) in zip(reversed(surfaces), behind, strict=True)
     )
+
+
+def _turned_coating(surface: Surface, has_air_behind: bool) -> SurfaceCoating:
+    """Return the coating of a surface that is turned around; layers between two glasses are reversed."""
+    coating = surface.coating
+    if isinstance(coating, str) or is_air(surface.material) or has_air_behind:
+        return coating
+    return coating.replaced(layers=coating.layers[::-1])
 
 
 def mirrored_keys(surface: Surface) -> dict[str, object]:

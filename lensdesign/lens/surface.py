@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
+from lensdesign.lens.coatings.coating import SurfaceCoating
 from lensdesign.lens.shapes.base import COEFFICIENTS, Shape, azimuths_rad, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
 from lensdesign.lens.surface_figure_source import SurfaceFigureSource
@@ -49,6 +50,10 @@ class Surface(FrozenModel):
         Whether this surface is the aperture stop.
     figure
         Measured sag error of the made surface; None means no error.
+    coating
+        ``ideal`` (all light is transmitted), ``bare`` (Fresnel's equations), ``mgf2`` (a quarter wave of
+        magnesium fluoride at the design's first wavelength), or layers or a table; see
+        :class:`lensdesign.Coating`.
 
     Examples
     --------
@@ -72,6 +77,7 @@ class Surface(FrozenModel):
     semi_diameter_mm: Positive | None = None
     stop: bool = False
     figure: SurfaceFigureSource | None = None
+    coating: SurfaceCoating = "ideal"
 
     @field_validator("shape_type")
     @classmethod

@@ -3,12 +3,20 @@ from .compiled import CompiledSystem, compile_system
 from .ghosts import ghost_system
 from .gradients import GradientTrace, at_wavelengths, gradient_traces
 from .paths import ray_paths, sized_lens
+from .polarization import (
+    PolarizedRays,
+    jones_matrices,
+    polarization_matrices,
+    trace_polarized,
+    transverse_basis,
+)
 from .rays import RayTrace, trace, trace_compiled
 from .status import Status
 
 __all__ = [
     "CompiledSystem",
     "GradientTrace",
+    "PolarizedRays",
     "PupilSamples",
     "RayTrace",
     "Status",
@@ -16,8 +24,10 @@ __all__ = [
     "compile_system",
     "ghost_system",
     "gradient_traces",
+    "jones_matrices",
     "launch",
     "launch_compiled",
+    "polarization_matrices",
     "pupil_fan",
     "pupil_hexapolar",
     "pupil_rings",
@@ -25,4 +35,6 @@ __all__ = [
     "sized_lens",
     "trace",
     "trace_compiled",
+    "trace_polarized",
+    "transverse_basis",
 ]

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from lensdesign.files.surface_coatings import compile_coatings
 from lensdesign.files.surface_figures import surface_figure
+from lensdesign.lens.coatings.compiled import CompiledCoating
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation, Value, trial_count
 from lensdesign.lens.shapes.base import Shape, term_of
@@ -45,6 +47,11 @@ class CompiledSystem:
         Whether the surface is rotated in any trial.
     figures : tuple of tuple of SurfaceFigure, one for each surface
         Sag errors that are added to the shape, each for all trials or for each trial.
+    coatings : tuple of CompiledCoating, one for each surface
+        Coatings as the light meets them. They do not change the rays.
+    index_beyond : ndarray, shape (trials or 1, surfaces), or None
+        For light that is reflected: the index of the medium on the other side of each surface that reflects,
+        and NaN for one that transmits. None if all surfaces transmit.
     """
 
     trials: int | None
@@ -55,6 +62,8 @@ class CompiledSystem:
     semi_diameter: Array
     tilted: NDArray[np.bool_]
     figures: tuple[tuple[SurfaceFigure, ...], ...]
+    coatings: tuple[CompiledCoating, ...]
+    index_beyond: Array | None = None
 
     @property
     def surfaces(self) -> int:
@@ -178,7 +187,20 @@ def compile_system(
         semi_diameter=semi,
         tilted=np.any(rotation != np.eye(3), axis=(0, 2, 3)),
         figures=tuple(_surface_figures(lens, i, changes.get(i)) for i in range(count)),
+        coatings=_coatings(lens, wavelength_um, changes),
     )
+
+
+def _coatings(
+    lens: Lens, wavelength_um: float, changes: Mapping[int, SurfacePerturbation]
+) -> tuple[CompiledCoating, ...]:
+    """Return the coatings of all surfaces with the errors of their thicknesses."""
+    coatings = list(compile_coatings(lens, wavelength_um))
+    for i, change in changes.items():
+        if np.any(change.coating_thickness_percent):
+            error = 0.01 * np.asarray(change.coating_thickness_percent)
+            coatings[i] = coatings[i].with_thickness_error(error[..., None])
+    return tuple(coatings)
 
 
 def _surface_figures(lens: Lens, i: int, change: SurfacePerturbation | None) -> tuple[SurfaceFigure, ...]:

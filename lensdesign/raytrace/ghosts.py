@@ -18,6 +18,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from lensdesign.lens.coatings.compiled import CompiledCoating
 from lensdesign.raytrace.compiled import CompiledSystem
 
 
@@ -54,7 +55,27 @@ def ghost_system(system: CompiledSystem, front_index: int = 0, back_index: int =
         semi_diameter=system.semi_diameter[order],
         tilted=system.tilted[order],
         figures=tuple(system.figures[i] for i in order),
+        coatings=_ghost_coatings(system, order, front_index, back_index),
+        index_beyond=_index_beyond(system.index, front_index, back_index),
     )
+
+
+def _ghost_coatings(
+    system: CompiledSystem, order: list[int], front_index: int, back_index: int
+) -> tuple[CompiledCoating, ...]:
+    """Return the coatings in the order of the ghost's light path; on the backward path they are turned."""
+    backward = range(back_index + 1, back_index + 1 + back_index - front_index)
+    coatings = [system.coatings[i] for i in order]
+    return tuple(c.turned() if position in backward else c for position, c in enumerate(coatings))
+
+
+def _index_beyond(index: Array, front_index: int, back_index: int) -> Array:
+    """Return the index on the other side of both surfaces that reflect, and NaN for the others."""
+    count = index.shape[-1] - 1
+    result = np.full((*index.shape[:-1], len(ghost_order(count, front_index, back_index))), np.nan)
+    result[..., back_index] = index[..., back_index + 1]
+    result[..., 2 * back_index - front_index] = index[..., front_index]
+    return result
 
 
 def ghost_order(count: int, front_index: int = 0, back_index: int = 1) -> list[int]:

