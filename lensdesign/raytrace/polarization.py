@@ -193,6 +193,14 @@ def polarization_matrices(system: CompiledSystem, origins: Array, rays: RayTrace
     return np.where(path.ok[..., None, None], total, np.nan)
 
 
+def incidence_cosines(system: CompiledSystem, origins: Array, rays: RayTrace) -> Array:
+    """Return the cosines of the angles of incidence, shape (..., surfaces); 1 for rays that failed.
+
+    Parameters are those of :func:`jones_matrices`.
+    """
+    return _path(system, origins, rays).cosines
+
+
 def transverse_basis(directions: Array) -> Array:
     """Return the double-pole basis of directions, shape (..., 3, 2): x and y turned from z to each."""
     a, b, c = np.moveaxis(np.asarray(directions, float), -1, 0)
@@ -254,6 +262,12 @@ def _used(system: CompiledSystem, path: _Path, i: int) -> tuple[ComplexArray, Co
         # The vector k x s of reflected light is opposed along the surface to that of incident light.
         return coefficients.rs, -coefficients.rp
     return coefficients.ts, coefficients.tp
+
+
+def axial_reflection(system: CompiledSystem, surface: int) -> complex:
+    """Return the amplitude reflected at normal incidence by a surface of the first trial."""
+    n1, n2 = system.index[0, surface : surface + 2]
+    return complex(np.ravel(system.coatings[surface].coefficients(n1, n2, 1.0).rs)[0])
 
 
 def surface_coefficients(

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -179,14 +178,11 @@ class ThinLens(Engine):
         passed = self._axial_transmission()
         return np.asarray(np.where(r2 <= thin.semi_diameter_mm**2, passed * np.exp(1j * path), 0.0))
 
-    def _axial_transmission(self) -> float:
+    def _axial_transmission(self) -> complex:
         """Return the transmission of the field along the axis, of all surfaces together."""
         scene, along = self.scene, np.ones(1)
-        factors = [
-            transmission(scene.coating, float(n1), float(n2), along, along, scene.object_grid.is_line)
-            for n1, n2 in pairwise(scene.system.index[0])
-        ]
-        return float(np.prod(factors))
+        factors = [transmission(scene, surface, along, along)[0] for surface in range(scene.system.surfaces)]
+        return complex(np.prod(factors))
 
     @cached_property
     def _transfers(self) -> tuple[FreeSpacePropagator, FreeSpacePropagator]:

@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from lensdesign.lens.coatings.thin_films import Coefficients
 from lensdesign.raytrace.bundles import launch_compiled
 from lensdesign.raytrace.compiled import CompiledSystem
+from lensdesign.raytrace.polarization import surface_coefficients
 from lensdesign.raytrace.rays import RayTrace, trace_compiled
-from wavesim.scene.scene import Coating, Scene
+from wavesim.scene.scene import Scene
+
+ComplexArray = NDArray[np.complex128]
 
 FAN_RINGS, FAN_ARMS = 24, 48
 
@@ -166,19 +170,32 @@ def _crossing(
     )
 
 
-def transmission(
-    coating: Coating, n1: float, n2: float, incidence: Array, refraction: Array, is_line: bool
-) -> Array:
-    """Return the transmission of the field at a surface, from the cosines to its normal on both sides.
+def transmission(scene: Scene, surface: int, incidence: Array, refraction: Array) -> NDArray[np.inexact]:
+    """Return the transmission of scalar waves at a surface, from the cosines to its normal on both sides.
 
-    An ideal coating keeps the flux, n cos |u|^2. A bare surface has Fresnel's coefficient: that of TE waves
-    in the meridional world, the root of the mean of both flux transmissions on a plane.
+    An ideal coating keeps the flux, n cos |u|^2. Other coatings transmit like light across the plane of
+    incidence on a line, and like :func:`scalar_coefficient` on a plane.
     """
+    n1, n2 = (float(n) for n in scene.system.index[0, surface : surface + 2])
     keep = np.sqrt(n1 * incidence / (n2 * refraction))
-    if coating == "ideal":
-        return np.asarray(keep)
-    te = 2.0 * n1 * incidence / (n1 * incidence + n2 * refraction)
-    if is_line:
-        return np.asarray(te)
-    tm = 2.0 * n1 * incidence / (n2 * incidence + n1 * refraction)
-    return np.asarray(np.sqrt(0.5 * (te * te + tm * tm)))
+    return np.asarray(keep * coating_coefficient(scene, surface, incidence))
+
+
+def coating_coefficient(scene: Scene, surface: int, incidence: Array) -> NDArray[np.inexact]:
+    """Return the transmission of scalar waves by a surface's coating, normalized to flux.
+
+    It is real if the coating changes no phase.
+    """
+    if scene.system.coatings[surface].is_ideal:
+        return np.ones(np.shape(incidence))
+    found, _ = surface_coefficients(scene.system, surface, incidence)
+    value = found.ts if scene.object_grid.is_line else scalar_coefficient(found)
+    return value if np.any(value.imag) else value.real
+
+
+def scalar_coefficient(found: Coefficients) -> ComplexArray:
+    """Return the coefficient with the mean flux of both polarizations, and the phase of their sum."""
+    total = found.ts + found.tp
+    size = np.abs(total)
+    mean = np.sqrt(0.5 * (np.abs(found.ts) ** 2 + np.abs(found.tp) ** 2))
+    return np.asarray(mean * np.where(size > 0.0, total / np.where(size > 0.0, size, 1.0), 1.0))

@@ -167,6 +167,8 @@ class RayMap:
         Diffraction at the rim, where it was requested.
     stop : SmoothMap or None
         Stop coordinates, y or y and x, where the edge was requested.
+    jones : SmoothMap or None
+        Complex components of the field relative to that of scalar waves, for light with a polarization.
     """
 
     plane_z_mm: float
@@ -179,6 +181,7 @@ class RayMap:
     border_mm: Array
     edge: Edge | None = None
     stop: SmoothMap | None = None
+    jones: SmoothMap | None = None
 
     @property
     def resolves_edge(self) -> bool:
@@ -295,10 +298,11 @@ def ray_map(
         both = fit_map(bundle.sensor_mm[bundle.ok], np.concatenate([fitted, _stop_of(bundle)]), order)
         maps = replace(both, coefficients=both.coefficients[: len(fitted)])
         difference = np.abs(maps.at(check.sensor_mm) - _carried(check))[:, check.ok]
+        jones, mixing_error = _fitted_jones(bundle, check, order)
         errors = np.array(
             [
                 difference[0].max() / wavelength_mm,
-                (difference[1] / check.amplitude[check.ok]).max(),
+                max((difference[1] / check.amplitude[check.ok]).max(), mixing_error),
                 difference[2:].max() * reach_mm / wavelength_mm,
             ]
         )
@@ -306,7 +310,7 @@ def ray_map(
             borders = [border_of(scene, point_mm, part, plane_z_mm) for part in (pupil, traced)]
             stop = None if drawn is None else replace(both, coefficients=both.coefficients[len(fitted) :])
             return RayMap(
-                plane_z_mm, pupil, maps, borders[0], caustics, bundle, traced, borders[1], drawn, stop
+                plane_z_mm, pupil, maps, borders[0], caustics, bundle, traced, borders[1], drawn, stop, jones
             )
     raise RayMapError(
         f"the rays from ({point_mm[0]:g}, {point_mm[1]:g}) mm are too rough on the plane z = {plane_z_mm:g} "
@@ -315,6 +319,14 @@ def ray_map(
         f"(allowed: {path_tolerance_waves:g}, {amplitude_tolerance:g}, {path_tolerance_waves:g}); "
         "stop the lens down, or go farther from the caustic"
     )
+
+
+def _fitted_jones(bundle: RayBundle, check: RayBundle, order: int) -> tuple[SmoothMap | None, float]:
+    """Return the map of the field's components, and its largest error at rays that were not fitted."""
+    if bundle.jones is None or check.jones is None:
+        return None, 0.0
+    fitted = fit_map(bundle.sensor_mm[bundle.ok], bundle.jones[bundle.ok].T, order)
+    return fitted, float(np.max(np.abs(fitted.at(check.sensor_mm[check.ok]) - check.jones[check.ok].T)))
 
 
 def _with_shadow(scene: Scene, point_mm: tuple[float, float], edge: Edge, plane_z_mm: float) -> OpenPupil:

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.raytrace.bundles import launch_pairs
+from lensdesign.raytrace.polarization import incidence_cosines, jones_matrices
 from lensdesign.raytrace.rays import RayTrace, trace_compiled
 from lensdesign.raytrace.status import Status
-from wavesim.rays.interfaces import transmission, validate_meridional
+from wavesim.rays.interfaces import coating_coefficient, validate_meridional
+from wavesim.scene.polarization import components_of, is_vector
 from wavesim.scene.scene import Scene
 
 STEP = 3e-4
@@ -90,17 +92,19 @@ class RayBundle:
     sensor_mm : ndarray, shape (n, d)
         Coordinates on the plane: y, or y and x.
     path_mm : ndarray, shape (n,)
-        Optical path V.
+        Optical path V. For scalar waves it includes the phase of the coatings.
     cosines, slopes : ndarray, shape (n, d)
         -dV/ds at the object (p), and dV/ds at the plane.
     amplitude : ndarray, shape (n,)
-        Amplitude in mm^(-d/2), including the transmission of the coatings.
+        Amplitude in mm^(-d/2). For scalar waves it includes the transmission of the coatings.
     jacobian, cosine_jacobian : ndarray, shape (n, d, d)
         Derivatives of `sensor_mm` and `cosines` with respect to the stop coordinates.
     slope_jacobian : ndarray, shape (n, d, d)
         Derivatives of the slopes dx/dz and dy/dz behind the lens with respect to the stop coordinates.
     caustics : ndarray of int, shape (n,)
         Caustics touched between object and plane.
+    jones : ndarray, shape (n, components), or None
+        Components of the field behind the lens relative to that of ideal scalar waves; None for scalar waves.
     """
 
     ok: NDArray[np.bool_]
@@ -114,6 +118,7 @@ class RayBundle:
     cosine_jacobian: Array
     slope_jacobian: Array
     caustics: NDArray[np.intp]
+    jones: NDArray[np.complex128] | None = None
 
     def jacobian_before(self, distance_mm: float) -> Array:
         """Return derivatives of the points on a plane at a distance in front of this one, shape (n, d, d)."""
@@ -232,12 +237,24 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
     ratio = (n_object * first[:, 2]) / (n_image * rays.direction[:, 2])
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = np.abs(determinants(cosine_jacobian) / determinants(jacobian))
-        amplitude = np.sqrt(spread * ratio) * _losses(scene, first, rays)
+        amplitude, path_mm = np.sqrt(spread * ratio), rays.opl
+    origins = np.column_stack([points, np.full(len(points), scene.object_grid.z_mm)])
+    jones = None
+    if is_vector(scene.polarization):
+        matrices = jones_matrices(scene.system, origins, rays).jones
+        components = components_of(scene.polarization)
+        jones = np.stack([component.of(matrices) for component in components], axis=-1)
+    elif not scene.has_ideal_coatings:
+        transmitted, axial = _transmitted(scene, origins, rays)
+        amplitude = amplitude * np.abs(transmitted)
+        # The phase relative to that on the axis has no jumps.
+        phase = np.angle(transmitted / axial) + np.angle(axial)
+        path_mm = path_mm + phase / scene.wavenumber_per_mm
     return RayBundle(
         ok=ok & np.isfinite(amplitude),
         pupil=pupil,
         sensor_mm=rays.position[:, axes],
-        path_mm=rays.opl,
+        path_mm=path_mm,
         cosines=n_object * first[:, axes],
         slopes=n_image * rays.direction[:, axes],
         amplitude=amplitude,
@@ -245,6 +262,7 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
         cosine_jacobian=cosine_jacobian,
         slope_jacobian=tilts[:, axes],
         caustics=_caustics(rays, knots),
+        jones=jones,
     )
 
 
@@ -283,31 +301,14 @@ def _first_headings(scene: Scene, points: Array, rays: RayTrace) -> Array:
     return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
 
 
-def _losses(scene: Scene, first: Array, rays: RayTrace) -> Array:
-    """Return the root of the fraction of the flux that all surfaces transmit, shape (n,)."""
-    result = np.ones(len(first))
-    if scene.coating == "ideal":
-        return result
-    system, knots = scene.system, _knots(rays)
-    legs = np.diff(knots, axis=1)[:, :-1]
-    with np.errstate(invalid="ignore"):
-        inside = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
-    headings = [first, *np.moveaxis(inside, 1, 0), rays.direction]
-    for i in range(system.surfaces):
-        n1, n2 = float(system.index[0, i]), float(system.index[0, i + 1])
-        if n1 == n2:
-            continue
-        # By Snell's law in vector form, the normal is parallel to the change of n times direction.
-        normal = n2 * headings[i + 1] - n1 * headings[i]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-        cosines = [np.abs(np.sum(normal * headings[j], axis=1)) for j in (i, i + 1)]
-        bare, ideal = (
-            transmission(c, n1, n2, cosines[0], cosines[1], scene.object_grid.is_line)
-            for c in (scene.coating, "ideal")
-        )
-        result = result * bare / ideal
-    return np.asarray(result)
+def _transmitted(scene: Scene, origins: Array, rays: RayTrace) -> tuple[NDArray[np.complex128], complex]:
+    """Return the transmission of scalar waves by all coatings, of rays and on the axis."""
+    cosines = incidence_cosines(scene.system, origins, rays)
+    result, axial = np.ones(len(origins), complex), 1.0 + 0.0j
+    for surface in range(scene.system.surfaces):
+        result *= coating_coefficient(scene, surface, cosines[:, surface])
+        axial *= complex(coating_coefficient(scene, surface, np.ones(1))[0])
+    return result, axial
 
 
 def _caustics(rays: RayTrace, knots: Array) -> NDArray[np.intp]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
+from wavesim.scene.polarization import is_vector
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 
@@ -162,8 +163,40 @@ class Engine(ABC):
     gain: ClassVar[float] = math.inf
     """Largest ratio of the predicted errors of two successive candidates for which a third one is tried."""
 
+    carries_polarization: ClassVar[bool] = False
+    """Whether the engine carries the components of light with a polarization."""
+
     def __init__(self, scene: Scene) -> None:
+        if is_vector(scene.polarization) and not self.carries_polarization:
+            raise InputError(
+                f"polarization = {scene.polarization!r}: engine {self.name} propagates scalar waves; use "
+                "engine eikonal with hierarchical = False"
+            )
         self.scene = scene
+
+    @property
+    def components(self) -> int:
+        """Number of components of the field behind the lens, whose intensities add up; 1 for scalar waves."""
+        return 1
+
+    def component(self, index: int) -> Engine:
+        """Return the engine of one component of the field behind the lens.
+
+        Raises
+        ------
+        InputError
+            If there is no such component.
+        """
+        if index != 0:
+            raise InputError(f"component = {index}: scalar waves have one component, 0")
+        return self
+
+    def _validate_scalar(self) -> None:
+        if is_vector(self.scene.polarization):
+            raise InputError(
+                f"polarization = {self.scene.polarization!r}: the field behind the lens has "
+                f"{self.components} components; use forward_components, or component(index)"
+            )
 
     def at_wavelength(self, wavelength_um: float) -> Engine:
         """Return the engine with the same settings for light of another wavelength.
@@ -292,6 +325,42 @@ class Engine(ABC):
         self._validate_field(field, self.scene.object_grid, "object")
         index = float(self.scene.system.index[0, -1])
         return Field(self.scene.exit_grid, self._forward(field.values), field.wavelength_um, index)
+
+    def forward_components(self, field: Field) -> tuple[Field, ...]:
+        """Propagate a field from the object grid, and return all components on the exit grid.
+
+        For scalar waves it is the field of :meth:`forward`; see there for parameters and errors.
+        """
+        self._validate_field(field, self.scene.object_grid, "object")
+        index = float(self.scene.system.index[0, -1])
+        components = range(self.components) if is_vector(self.scene.polarization) else (None,)
+        found = self._forward_components(field.values, components)
+        return tuple(Field(self.scene.exit_grid, values, field.wavelength_um, index) for values in found)
+
+    def adjoint_components(self, fields: Sequence[Field]) -> Field:
+        """Apply the adjoint of :meth:`forward_components` to one field on the exit grid for each component.
+
+        Raises
+        ------
+        InputError
+            If the number of fields differs from that of components; see also :meth:`adjoint`.
+        """
+        if len(fields) != self.components:
+            raise InputError(f"{len(fields)} fields: must be {self.components}, one for each component")
+        for field in fields:
+            self._validate_field(field, self.scene.exit_grid, "exit")
+        index = float(self.scene.system.index[0, 0])
+        components = range(self.components) if is_vector(self.scene.polarization) else (None,)
+        values = self._adjoint_components([field.values for field in fields], components)
+        return Field(self.scene.object_grid, values, fields[0].wavelength_um, index)
+
+    def _forward_components(self, values: Any, components: Sequence[int | None]) -> list[Any]:
+        """Return the values of some components on the exit grid; None is the field of scalar waves."""
+        return [self._forward(values)]
+
+    def _adjoint_components(self, planes: Sequence[Any], components: Sequence[int | None]) -> Any:
+        """Return the values on the object grid of the adjoint for some components."""
+        return self._adjoint(planes[0])
 
     def adjoint(self, field: Field) -> Field:
         """Apply the adjoint operator to a field on the exit grid.

@@ -44,4 +44,5 @@ class GhostScene(Scene):
 
 def ghost_of(scene: Scene) -> GhostScene:
     """Return the scene of the ghost's light, with the same grids and lens."""
-    return GhostScene(**{f.name: getattr(scene, f.name) for f in fields(Scene)})
+    own = {f.name: getattr(scene, f.name) for f in fields(Scene)}
+    return GhostScene(**(own | {"coating": "ideal"}))

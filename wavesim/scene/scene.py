@@ -6,18 +6,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
-from lensdesign.errors import InputError, validate_choice, validate_positive
+from lensdesign.errors import InputError, validate_positive
+from lensdesign.lens.coatings.coating import SurfaceCoating
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.fields.field import Field, Grid
+from wavesim.scene.polarization import AUTO, validate_polarization
 from wavesim.scene.system_state import SystemState
-
-Coating = Literal["ideal", "bare"]
 
 
 @dataclass(frozen=True)
@@ -38,9 +37,14 @@ class Scene:
     pose, surface_perturbations
         Displacement and manufacturing errors of one lens, as in :func:`lensdesign.trace`. They do not move
         the grids.
-    coating : {"ideal", "bare"}
-        "ideal" surfaces transmit all light. "bare" surfaces transmit according to Fresnel's equations: TE
-        polarization on a line, the mean of both polarizations on a plane.
+    coating : coating of a surface, optional
+        Coating of all surfaces, as in :class:`lensdesign.Surface`. Default: the coatings of the design. With
+        scalar waves a surface transmits like light across the plane of incidence on a line, and like the mean
+        of both polarizations on a plane.
+    polarization : str or float
+        ``scalar`` waves; ``unpolarized`` or ``circular`` light; or the angle of linear polarization from x
+        towards y in degrees. ``auto`` are scalar waves, unless the choice of an engine has to include the
+        polarization.
 
     Raises
     ------
@@ -67,7 +71,8 @@ class Scene:
     wavelength_um: float
     pose: Pose = Pose()
     surface_perturbations: Mapping[int, SurfacePerturbation] = field(default_factory=dict)
-    coating: Coating = "ideal"
+    coating: SurfaceCoating | None = None
+    polarization: str | float = AUTO
 
     def __post_init__(self) -> None:
         if self.object_grid.is_line != self.exit_grid.is_line:
@@ -83,7 +88,7 @@ class Scene:
                 f"exit grid at z = {self.exit_grid.z_mm:g} mm: must not lie in front of the exit vertex, "
                 f"z >= {exit_vertex:g} mm"
             )
-        validate_choice("coating", self.coating, ("ideal", "bare"))
+        validate_polarization("polarization", self.polarization)
         if self.system.trials is not None:
             raise InputError(
                 "surface_perturbations: hold arrays of trials; a scene has one lens: give numbers"
@@ -92,7 +97,15 @@ class Scene:
     @cached_property
     def system(self) -> CompiledSystem:
         """The displaced and perturbed lens as arrays, ready for tracing."""
-        return compile_system(self.lens, self.wavelength_um, self.pose, self.surface_perturbations)
+        lens = self.lens
+        if self.coating is not None:
+            lens = lens.replaced(surfaces=tuple(s.replaced(coating=self.coating) for s in lens.surfaces))
+        return compile_system(lens, self.wavelength_um, self.pose, self.surface_perturbations)
+
+    @property
+    def has_ideal_coatings(self) -> bool:
+        """True if all surfaces transmit all light."""
+        return all(coating.is_ideal for coating in self.system.coatings)
 
     @property
     def steepest_sine(self) -> float:

@@ -68,6 +68,13 @@ def test_rays_at_a_plane() -> None:
     np.testing.assert_allclose(found.axial_after, np.cos(np.arcsin(np.sin(angle) / INDEX)), atol=1e-12)
 
 
+def plane_scene(index: float, coating: str, dimensions: int) -> Scene:
+    """A plane surface between air and a medium."""
+    lens = scene_of(None).lens.with_surface(0, material=index)
+    grids = (Grid((5,) * dimensions, 1e-3, z) for z in (-10.0, 1.0))
+    return Scene(lens, *grids, WAVELENGTH_UM, coating=coating)
+
+
 @given(angle=st.floats(0.0, 1.4), index=st.floats(1.1, 2.5))
 def test_ideal_coating_keeps_the_flux_and_bare_glass_what_it_does_not_reflect(
     angle: float, index: float
@@ -75,11 +82,11 @@ def test_ideal_coating_keeps_the_flux_and_bare_glass_what_it_does_not_reflect(
     before = np.array([math.cos(angle)])
     behind = np.array([math.sqrt(1.0 - (math.sin(angle) / index) ** 2)])
     share = index * behind / before
-    ideal, te = (transmission(c, 1.0, index, before, behind, True) for c in ("ideal", "bare"))
+    ideal, te = (transmission(plane_scene(index, c, 1), 0, before, behind) for c in ("ideal", "bare"))
     assert (share * ideal**2)[0] == pytest.approx(1.0, rel=1e-12)
     reflected = (before - index * behind) / (before + index * behind)
     assert (share * te**2 + reflected**2)[0] == pytest.approx(1.0, rel=1e-12)
-    mean = transmission("bare", 1.0, index, before, behind, False)
+    mean = transmission(plane_scene(index, "bare", 2), 0, before, behind)
     along = (index * before - behind) / (index * before + behind)
     assert (share * mean**2)[0] == pytest.approx(1.0 - 0.5 * (reflected**2 + along**2)[0], rel=1e-9)
 

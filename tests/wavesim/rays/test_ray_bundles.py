@@ -11,18 +11,18 @@ from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Grid
 from wavesim.rays.ray_bundles import open_pupil, shoot, trace_bundle
-from wavesim.scene.scene import Coating, Scene
+from wavesim.scene.scene import Scene
 
 STOP_MM, INDEX = 0.5, 1.5
 
 
-def plate_scene(dimensions: int, coating: Coating = "ideal", index: float = INDEX) -> Scene:
+def plate_scene(dimensions: int, coating: str = "ideal", index: float = INDEX) -> Scene:
     """One plane surface at z = 0, glass behind."""
     surface = Surface(material=index if index > 1.0 else None, semi_diameter_mm=STOP_MM, stop=True)
     return scene_of((surface,), dimensions, coating)
 
 
-def scene_of(surfaces: tuple[Surface, ...], dimensions: int, coating: Coating = "ideal") -> Scene:
+def scene_of(surfaces: tuple[Surface, ...], dimensions: int, coating: str = "ideal") -> Scene:
     lens = Lens(
         wavelengths_um=(0.5,),
         object=ObjectSpace(field_diameter_mm=0.1, numerical_aperture=0.4, working_distance_mm=1.0),

@@ -46,6 +46,7 @@ from wavesim.engines.eikonal.flat_tiles import (
     add_tiles,
     add_tiles_adjoint,
     precision_for,
+    type_of,
 )
 from wavesim.engines.eikonal.plan import (
     Cut,
@@ -70,6 +71,7 @@ from wavesim.runtime.fourier.nonuniform import Precision
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import THREADS, at_once, one_blas_thread
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Tiled
+from wavesim.scene.polarization import components_of, is_vector
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 
@@ -197,6 +199,7 @@ def _class_for(scene: Scene, *, hierarchical: bool | None = None, **settings: An
     """Return the class of an engine's tiles, for the settings of :class:`EikonalEngine`."""
     if hierarchical is None:
         flat = any(settings.get(name) is not None for name in ("quadratic", "plane_z_mm"))
+        flat = flat or is_vector(scene.polarization)
         hierarchical = not flat and ("tiles_across" in settings or hierarchy_is_cheaper(scene))
     return HierarchicalTiles if hierarchical else FlatTiles
 
@@ -213,13 +216,19 @@ def _check_hierarchy_is_possible(scene: Scene, *, quadratic: Quadratic, plane_z_
 
 def _kept_flat(scene: Scene) -> dict[str, Any]:
     """Return the setting that keeps tiles flat, if the engine would choose a hierarchy for a scene."""
-    return {"hierarchical": False} if hierarchy_is_cheaper(scene) else {}
+    needs_setting = hierarchy_is_cheaper(scene) and not is_vector(scene.polarization)
+    return {"hierarchical": False} if needs_setting else {}
 
 
 class FlatTiles(EikonalEngine):
-    """Eikonal tiles that are propagated to the plane one by one; settings are those of `EikonalEngine`."""
+    """Eikonal tiles that are propagated to the plane one by one; settings are those of `EikonalEngine`.
+
+    They carry the components of light with a polarization. All components share phases and transforms.
+    """
 
     gain = 0.95
+
+    carries_polarization = True
 
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
@@ -359,22 +368,39 @@ class FlatTiles(EikonalEngine):
         for tile, operator in zip(self.tiles, self._prepared(dtype), strict=True):
             yield tile, self._map(tile.centre_mm), operator
 
+    @property
+    def components(self) -> int:
+        return max(1, len(components_of(self.scene.polarization)))
+
+    def component(self, index: int) -> Engine:
+        return OneComponent(self, index) if is_vector(self.scene.polarization) else super().component(index)
+
     def _forward(self, values: Any) -> Any:
-        field = _complex_field(values)
-        result = np.zeros(self.plane.grid.shape, field.dtype)
-        scaled = field * field.real.dtype.type(self.scene.object_grid.cell)
-        add_tiles(self._prepared(field.dtype), scaled, result)
-        if self.plane.beyond is None:
-            return result
-        return self.plane.beyond.forward(result.astype(complex)).astype(field.dtype)
+        self._validate_scalar()
+        return self._forward_components(values, (None,))[0]
 
     def _adjoint(self, values: Any) -> Any:
-        field = np.ascontiguousarray(_complex_field(values))
-        dtype = field.dtype
-        if self.plane.beyond is not None:
-            field = self.plane.beyond.adjoint(field.astype(complex)).astype(dtype)
+        self._validate_scalar()
+        return self._adjoint_components([values], (None,))
+
+    def _forward_components(self, values: Any, components: Sequence[int | None]) -> list[Any]:
+        field = _complex_field(values)
+        results = [np.zeros(self.plane.grid.shape, type_of(c, field.dtype)) for c in components]
+        scaled = field * field.real.dtype.type(self.scene.object_grid.cell)
+        add_tiles(self._prepared(field.dtype), scaled, results, components)
+        beyond = self.plane.beyond
+        if beyond is None:
+            return results
+        return [beyond.forward(result.astype(complex)).astype(result.dtype) for result in results]
+
+    def _adjoint_components(self, planes: Sequence[Any], components: Sequence[int | None]) -> Any:
+        dtype, beyond = _complex_field(planes[0]).dtype, self.plane.beyond
+        fields = []
+        for values, component in zip(planes, components, strict=True):
+            own = np.asarray(values) if beyond is None else beyond.adjoint(np.asarray(values, complex))
+            fields.append(np.ascontiguousarray(own, type_of(component, dtype)))
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        add_tiles_adjoint(self._prepared(dtype), field, result)
+        add_tiles_adjoint(self._prepared(dtype), fields, result, components)
         return result * result.real.dtype.type(self.plane.grid.cell)
 
     def settings(self) -> dict[str, Any]:
@@ -414,6 +440,48 @@ class FlatTiles(EikonalEngine):
         )
 
 
+class OneComponent(Engine):
+    """One component of the field of an engine that carries light with a polarization.
+
+    Parameters
+    ----------
+    whole : FlatTiles
+        Engine of all components.
+    index : int
+        Index of the component.
+    """
+
+    name = FlatTiles.name
+    carries_polarization = True
+
+    def __init__(self, whole: FlatTiles, index: int) -> None:
+        super().__init__(whole.scene)
+        if not 0 <= index < whole.components:
+            raise InputError(f"component = {index}: must be from 0 to {whole.components - 1}")
+        self.whole, self.index = whole, index
+
+    def at_wavelength(self, wavelength_um: float) -> Engine:
+        return self.whole.at_wavelength(wavelength_um).component(self.index)
+
+    def _forward(self, values: Any) -> Any:
+        return self.whole._forward_components(values, (self.index,))[0]
+
+    def _adjoint(self, values: Any) -> Any:
+        return self.whole._adjoint_components([values], (self.index,))
+
+    def cost(self) -> Cost:
+        return self.whole.cost()
+
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
+        return self.whole.error_terms()
+
+    def edge_illumination(self, light: Light) -> float:
+        return self.whole.edge_illumination(light)
+
+    def settings(self) -> dict[str, Any]:
+        return self.whole.settings()
+
+
 def _complex_field(values: Any) -> NDArray[np.complexfloating]:
     field = np.asarray(values)
     return field if field.dtype == np.complex64 else field.astype(np.complex128, copy=False)
@@ -450,7 +518,7 @@ class HierarchicalTiles(EikonalEngine, Tiled):
 
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
-        if hierarchy_is_cheaper(scene):
+        if hierarchy_is_cheaper(scene) and not is_vector(scene.polarization):
             yield {"error": cls._tile_error(error)}
 
     @classmethod

@@ -52,6 +52,15 @@ def precision_for(dtype: np.dtype[Any], error: float) -> Precision:
     return Precision(dtype, transform, max(4e-2 * error, 1e-7))
 
 
+def type_of(component: int | None, dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the data type of a component on the plane.
+
+    Single precision is enough for crossed components, which have a few percent of the amplitude.
+    """
+    is_crossed = component is not None and component % 2 == 1
+    return np.dtype(np.complex64) if is_crossed else dtype
+
+
 def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float) -> Array:
     """Return the sample spacings for a tile's field without its carrier, in the order (y, x)."""
     ok = bundle.ok
@@ -148,6 +157,10 @@ class TileOperator:
         if self._interpolation is None:
             sensor = carrier_values[self._needed] * sensor
         self._weights = sensor.astype(self._dtype)
+        self._jones: NDArray | None = None
+        self._single: tuple[tuple[Weights, Weights], NDArray] | None = None
+        if carrier.jones is not None:
+            self._jones = self._on_points(carrier.jones).astype(self._dtype)
         self._set_points(self._on_points(carrier.maps)[2:])
 
     @property
@@ -207,41 +220,77 @@ class TileOperator:
         field[self._needed] = sum_of_terms(self._plans[0], values, self._tile_factors, self._weights)
         return field
 
-    def add(self, field: NDArray | None, result: NDArray) -> None:
-        """Add the result of :meth:`transformed` to the field on the plane."""
+    def add(self, field: NDArray | None, result: NDArray, component: int | None = None) -> None:
+        """Add the result of :meth:`transformed`, or one of its components, to the field on the plane."""
         if field is None:
             return
+        if component is not None:
+            assert self._jones is not None
+            scalar, field = field, np.zeros(field.shape, result.dtype)
+            field[self._needed] = scalar[self._needed] * self._jones[component]
         if self._interpolation is None:
             result[self.window] += field
         else:
-            add_interpolated(field, self._interpolation, self._carrier, result, self._origin)
+            interpolation, carrier = self._in(result.dtype)
+            add_interpolated(field, interpolation, carrier, result, self._origin)
 
-    def adjoint(self, values: NDArray, threads: int = 1) -> NDArray:
-        """Apply the conjugate transpose of :meth:`transformed` and :meth:`add` to a field on the plane."""
+    def _in(self, dtype: np.dtype[Any]) -> tuple[tuple[Weights, Weights], NDArray]:
+        """Return the interpolation weights and the carrier for a plane of a data type."""
+        assert self._interpolation is not None
+        if dtype == self._dtype:
+            return self._interpolation, self._carrier
+        if self._single is None:
+            along_y, along_x = (weights.astype(np.float32) for weights in self._interpolation)
+            self._single = (along_y, along_x), self._carrier.astype(np.complex64)
+        return self._single
+
+    def adjoint(
+        self, planes: Sequence[NDArray], components: Sequence[int | None], threads: int = 1
+    ) -> NDArray:
+        """Apply the conjugate transpose of :meth:`transformed` and :meth:`add` to fields on the plane."""
         if self._plans is None:
             return np.zeros((), self._dtype)
-        if self._interpolation is None:
-            field = values[self.window]
-        else:
-            field = gathered(values, self._interpolation, self._carrier, self._origin, threads)
-        strength = field[self._needed]
+        strength: Any = 0
+        for values, component in zip(planes, components, strict=True):
+            if self._interpolation is None:
+                field = values[self.window]
+            else:
+                interpolation, carrier = self._in(values.dtype)
+                field = gathered(values, interpolation, carrier, self._origin, threads)
+            own = field[self._needed].astype(self._dtype, copy=False)
+            if component is not None:
+                assert self._jones is not None
+                own = own * self._jones[component].conj()
+            strength = strength + own if len(planes) > 1 else own
         return np.asarray(adjoint_of_terms(self._plans[1], strength, self._tile_factors, self._weights))
 
 
-def add_tiles(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
-    """Add the fields of all tiles of the object to the field on the plane."""
+def add_tiles(
+    operators: Sequence[TileOperator],
+    values: NDArray,
+    results: Sequence[NDArray],
+    components: Sequence[int | None] = (None,),
+) -> None:
+    """Add the fields of all tiles of the object to the fields on the plane, one for each component."""
     for start in range(0, len(operators), GROUP):
         some = operators[start : start + GROUP]
         fields = at_once([partial(one.transformed, values[one.part]) for one in some])
         for operator, field in zip(some, fields, strict=True):
-            operator.add(field, result)
+            for component, result in zip(components, results, strict=True):
+                operator.add(field, result, component)
 
 
-def add_tiles_adjoint(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
+def add_tiles_adjoint(
+    operators: Sequence[TileOperator],
+    planes: Sequence[NDArray],
+    result: NDArray,
+    components: Sequence[int | None] = (None,),
+) -> None:
     """Apply the conjugate transpose of :func:`add_tiles`; add the result to the field on the object."""
     for start in range(0, len(operators), GROUP):
         some = operators[start : start + GROUP]
-        parts = at_once([partial(one.adjoint, values, max(1, THREADS // len(some))) for one in some])
+        threads = max(1, THREADS // len(some))
+        parts = at_once([partial(one.adjoint, planes, components, threads) for one in some])
         for operator, part in zip(some, parts, strict=True):
             result[operator.part] += part
 

@@ -52,7 +52,7 @@ class CentreRays:
     axial: tuple[Array, Array]
     lean: tuple[Array, Array]
     slope: Array
-    transmission: Array
+    transmission: NDArray[np.inexact]
     indices: tuple[float, float]
 
     @property
@@ -119,7 +119,7 @@ def _rays(scene: Scene, surface: int, found: Crossings) -> CentreRays:
         (n1 * found.axial_before, n2 * found.axial_after),
         (found.incidence * area / found.axial_before, found.refraction * area / found.axial_after),
         slope,
-        transmission(scene.coating, n1, n2, found.incidence, found.refraction, scene.object_grid.is_line),
+        transmission(scene, surface, found.incidence, found.refraction),
         (n1, n2),
     )
 
@@ -133,8 +133,8 @@ class Compensation:
     Attributes
     ----------
     maps : SmoothMap
-        Maps of these three quantities over y and x, or over y only. For vertical compensation there is only a
-        map of the transmission.
+        Maps of these quantities over y and x, or over y only: optical path per height on both sides, modulus
+        and phase of the transmission. For vertical compensation there are only maps of the transmission.
     indices : (float, float), optional
         Refractive indices in front of the surface and behind it, for vertical compensation.
     """
@@ -143,7 +143,7 @@ class Compensation:
     indices: tuple[float, float] | None
 
     def at(self, y_mm: Array, x_mm: Array, inside: NDArray[np.bool_]) -> Array:
-        """Return the three quantities at samples of rows and columns that are inside, shape (3, n)."""
+        """Return the four quantities at samples of rows and columns that are inside, shape (4, n)."""
         maps = self.maps
         axes = (y_mm, x_mm)[: len(maps.middle)]
         found = np.stack([part.reshape(inside.shape)[inside] for part in maps.along(axes).each()])
@@ -156,7 +156,7 @@ class Compensation:
         offset /= np.sqrt(away2[rows, columns])[:, None]
         found[:, (away2 > 1.0)[inside]] = maps.at(maps.middle + maps.half_width * offset)
         if self.indices is not None:
-            found = np.stack([*(np.full(found.shape[1], n) for n in self.indices), found[0]])
+            found = np.stack([*(np.full(found.shape[1], n) for n in self.indices), *found])
         return found
 
 
@@ -173,7 +173,9 @@ def compensation(scene: Scene, ray: CentreRays, oblique: bool) -> Compensation:
     # Some rays of a fan are sufficient; a bundle needs all of them.
     most = 5 * (order + 1) if is_line else len(points)
     pick = np.unique(np.rint(np.linspace(0, len(points) - 1, most)).astype(int))
-    values = np.stack([*ray.axial, amplitude] if oblique else [amplitude])
+    middle = np.exp(-1j * np.angle(np.mean(amplitude)))  # keeps the phase of a coating away from pi
+    own = [np.abs(amplitude), np.angle(amplitude * middle) - np.angle(middle)]
+    values = np.stack([*ray.axial, *own] if oblique else own)
     return Compensation(fit_map(points[pick], values[:, pick], order), None if oblique else ray.indices)
 
 

@@ -185,12 +185,12 @@ def sliced(
         z, lit = area.heights(first, stop)
         inside = lit > 0.0
         y, x = area.axes_mm(first, stop)
-        before, behind, amplitude = compensation.at(y, x, inside)
+        before, behind, amplitude, phase = compensation.at(y, x, inside)
         z, amplitude = z[inside], amplitude * lit[inside]
         which = slice_of(planes_mm, z)
         path = before * (z - low[which]) + behind * (high[which] - z)
         factors[first:stop][inside] = amplitude.astype(factors.real.dtype) * phasor_of(
-            k * path, factors.dtype
+            k * path + phase, factors.dtype
         )
         indices[first:stop][inside] = which
         return _extents(np.nonzero(inside), which, count, first)

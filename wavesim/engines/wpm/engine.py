@@ -34,6 +34,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import SamplingError, validate_choice, validate_positive
+from lensdesign.raytrace.polarization import axial_reflection
 from wavesim.engines.surfaces.grids import FRESNEL_ZONES, WorkingGrid, check_grid_size, working_grid
 from wavesim.engines.surfaces.samples import SurfaceSamples, other_transmission, sample_surfaces
 from wavesim.engines.surfaces.waves import Medium, SurfaceWaves, interpolation_error
@@ -174,9 +175,9 @@ class WavePropagation(Engine):
             found.append(ErrorTerm("surfaces as stairs", math.hypot(stairs, edge_error)))
         if self.working.reflected > 0.0:
             found.append(ErrorTerm("light totally reflected", math.sqrt(self.working.reflected)))
-        if self.scene.coating == "bare" and system.surfaces > 1:
-            returned = sorted(abs(b - a) / (b + a) for a, b in pairwise(system.index[0]))
-            found.append(ErrorTerm("light reflected inside the lens", float(returned[-1] * returned[-2])))
+        returned = sorted(float(abs(axial_reflection(system, i))) for i in range(system.surfaces))
+        if len(returned) > 1 and returned[-2] > 0.0:
+            found.append(ErrorTerm("light reflected inside the lens", returned[-1] * returned[-2]))
         return tuple(sorted(found, key=lambda n: -n.relative_error))
 
     @cached_property
@@ -296,7 +297,7 @@ class Substep:
         for before, behind in reversed(self.sides):
             spectrum *= behind.medium.waves.transfer_function(behind.first_z_mm - z_mm)
             values = behind.radiate_adjoint(spectrum)
-            values *= before.samples.transmission
+            values *= before.samples.transmission.conj()
             del spectrum
             spectrum = before.collect(values)
             z_mm = before.first_z_mm

@@ -17,7 +17,6 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from lensdesign.common.arrays import Array
 from lensdesign.errors import SamplingError
 from wavesim.engines.surfaces.grids import WorkingGrid
 from wavesim.engines.surfaces.waves import SurfaceSamples
@@ -44,7 +43,7 @@ class Staircase:
         for samples in surfaces:
             # Outside the light a surface continues as an opaque plane.
             height = np.full(grid.size, samples.rim_z_mm)
-            factor = np.zeros(grid.size)
+            factor = np.zeros(grid.size, samples.transmission.dtype)
             height[samples.pixels], factor[samples.pixels] = samples.z_mm, samples.transmission
             self.heights.append(height.reshape(grid.shape))
             self.factors.append(factor.reshape(grid.shape))
@@ -81,7 +80,7 @@ class Staircase:
         """
         energy_in = _energy(field)
         for length, medium, factor in self._steps(adjoint=True):
-            field = field * factor
+            field = field * factor.conj()
             spectrum = np.zeros(field.shape, complex)
             for m in np.unique(medium):
                 wave = np.where(medium == m, field, 0.0)
@@ -103,7 +102,7 @@ class Staircase:
                 "the stairs scatter too much of this light; use interface = substep"
             )
 
-    def _steps(self, adjoint: bool = False) -> Iterator[tuple[float, NDArray[np.int8], Array]]:
+    def _steps(self, adjoint: bool = False) -> Iterator[tuple[float, NDArray[np.int8], NDArray[np.inexact]]]:
         """Yield each step's length, the medium of each sample, and the factor of the crossed surfaces."""
         # The last step has the length 0, and applies the surfaces behind the last middle.
         borders = [*self.planes, self.planes[-1]]
@@ -111,7 +110,7 @@ class Staircase:
         steps = list(zip(pairwise(borders), pairwise(middles), strict=True))
         for (low, high), (before, middle) in reversed(steps) if adjoint else steps:
             medium = np.zeros(self.heights[0].shape, np.int8)
-            factor = np.ones(self.heights[0].shape)
+            factor = np.ones(self.heights[0].shape, np.result_type(*self.factors))
             for height, own in zip(self.heights, self.factors, strict=True):
                 medium += height <= middle
                 np.multiply(factor, own, out=factor, where=(height > before) & (height <= middle))

@@ -23,7 +23,7 @@ from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Array, Field, Grid, relative_error
 from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.patches import patch_scene
-from wavesim.scene.scene import Coating, Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM, INDEX = 0.532, 1.5195
 K_PER_MM = 2e3 * math.pi / WAVELENGTH_UM
@@ -46,7 +46,7 @@ def lens_of(surfaces: Sequence[Surface], distance_mm: float) -> Lens:
 IN_PLACE = Pose()
 
 
-def ball_scene(pose: Pose = IN_PLACE, coating: Coating = "ideal") -> Scene:
+def ball_scene(pose: Pose = IN_PLACE, coating: str = "ideal") -> Scene:
     """A ball of 0.015 mm radius, on the full plane."""
     a = 0.015
     front = Surface(radius_mm=a, thickness_mm=2 * a, material=INDEX, semi_diameter_mm=0.36 * a, stop=True)
