@@ -165,7 +165,7 @@ def sphere_scene(radius_mm: float = 0.05, wavelength_um: float = 0.532, spread: 
     )
     phases = passage_phases(k * radius_mm, SCENE_INDEX)
     waves = 0.5 * phases * spherical_waves(k, spread, -1.5 * radius_mm, len(phases) - 1)
-    start = _on_plane(lambda radius: beam_field(k, spread, radius, 0.0), scene.object_grid, wavelength_mm)
+    start = beam_on_plane(k, spread, scene.object_grid, wavelength_mm)
     end = _on_plane(
         lambda radius: outgoing_field(waves, k, radius, 1.1 * radius_mm), scene.exit_grid, wavelength_mm
     )
@@ -175,6 +175,11 @@ def sphere_scene(radius_mm: float = 0.05, wavelength_um: float = 0.532, spread: 
         Field(scene.exit_grid, end, wavelength_um),
         uncertainty=math.exp(-0.5 * (stop_angle / spread) ** 2),
     )
+
+
+def beam_on_plane(wavenumber_per_mm: float, spread: float, grid: Grid, wavelength_mm: float) -> ComplexArray:
+    """Return the field of the beam on a grid in the plane of its waist."""
+    return _on_plane(lambda radius: beam_field(wavenumber_per_mm, spread, radius, 0.0), grid, wavelength_mm)
 
 
 def _on_plane(field: Callable[[Array], ComplexArray], grid: Grid, wavelength_mm: float) -> ComplexArray:

@@ -121,6 +121,7 @@ def choose(
         meridional=meridional,
         object_pitch_um=settings.object_pitch_um,
     )
+    scene = settings.lights(scene)
     light = None
     # ``even`` is light of all directions on an evenly filled patch.
     if object_ != "even":

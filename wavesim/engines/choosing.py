@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from lensdesign.common.given import FilePath, object_of
@@ -21,8 +21,11 @@ from lensdesign.lens.lens import Lens
 from wavesim.engines.registry import AUTO, ENGINES, engine_class, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES, LONGEST_SECONDS
 from wavesim.fields.sampling_checks import SamplingWarning
-from wavesim.scene.engine import Engine, upper_bound
+from wavesim.rays.scalar_light import scalar_light_term
+from wavesim.scene.engine import Engine, ErrorTerm, upper_bound
 from wavesim.scene.patches import patch_scene
+from wavesim.scene.polarization import AUTO as AUTO_POLARIZATION
+from wavesim.scene.polarization import UNPOLARIZED, is_vector
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import DEFAULT_ERROR
@@ -46,6 +49,8 @@ class Prediction:
         Peak memory.
     neglected : str
         The neglected effect with the largest error.
+    polarization : str or float
+        Polarization of the scene; ``auto`` and ``scalar`` are scalar waves.
     refused : str
         Reason why the engine cannot propagate the scene. If it is not empty, the other values have no
         meaning.
@@ -59,6 +64,7 @@ class Prediction:
     peak_bytes: int = 0
     neglected: str = ""
     refused: str = ""
+    polarization: str | float = AUTO_POLARIZATION
 
     def total_seconds(self, runs: int) -> float:
         """Return the time of the set-up and a number of runs."""
@@ -71,7 +77,8 @@ class Prediction:
             f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in self.settings.items()
         )
-        return f"{self.engine} ({inside})" if inside else self.engine
+        light = f" with {self.polarization} light" if is_vector(self.polarization) else ""
+        return f"{self.engine} ({inside}){light}" if inside else f"{self.engine}{light}"
 
 
 @dataclass(frozen=True)
@@ -183,9 +190,11 @@ def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         try:
-            cost, terms = built.cost(), built.error_terms_of(light)
+            cost, terms = built.cost(), _with_scalar_light(built, light)
         except (InputError, SamplingError) as problem:
-            return Prediction(built.name, settings, refused=str(problem))
+            return Prediction(
+                built.name, settings, refused=str(problem), polarization=built.scene.polarization
+            )
     return Prediction(
         built.name,
         settings,
@@ -194,7 +203,20 @@ def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> 
         cost.setup_seconds,
         cost.peak_bytes,
         terms[0].description if terms else "nothing",
+        polarization=built.scene.polarization,
     )
+
+
+def _with_scalar_light(built: Engine, light: Light | None) -> tuple[ErrorTerm, ...]:
+    """Return the error terms of an engine, with that of scalar light unless the scene asks for such light."""
+    terms = built.error_terms_of(light)
+    own = _scalar_light(built.scene)
+    return terms if own is None else tuple(sorted((*terms, own), key=lambda term: -term.relative_error))
+
+
+def _scalar_light(scene: Scene) -> ErrorTerm | None:
+    """Return the error of scalar waves, if the scene leaves the polarization open and rays pass the lens."""
+    return scalar_light_term(scene) if scene.polarization == AUTO_POLARIZATION else None
 
 
 def predictions(
@@ -206,7 +228,10 @@ def predictions(
     the engines that meet the limit, by the identity of their predictions, so that their ray traces are
     reused.
     """
+    needs_components = is_vector(scene.polarization)
     for engine in (one for name in ENGINES for one in engine_class(name).implementations()):
+        if needs_components and not engine.carries_polarization:
+            continue
         previous = math.inf
         for settings in engine.candidates(scene, error):
             candidate = engine(scene, **settings)
@@ -258,6 +283,10 @@ def choose(
     light: Light | None = None,
 ) -> Choice:
     """Select the cheapest engine that meets the limits of error, memory and time.
+
+    Engines propagate scalar waves, whose error for unpolarized light is one of the predicted terms. If that
+    error alone is too large, only engines that carry the components of the field compete, unless the scene
+    asks for ``scalar`` waves.
 
     Parameters
     ----------
@@ -317,15 +346,23 @@ def _chosen(
             raise InputError(f"{name} = {value!r}: must be above 0")
     validate_whole_number("runs", runs, 1)
     limits = _Limits(error, 1e9 * memory_gb, seconds, runs)
+    scalar, reason = _scalar_light(scene), ""
+    if scalar is not None and upper_bound([scalar]) > error:
+        scene = replace(scene, polarization=UNPOLARIZED)
+        reason = (
+            f"Scalar waves have a predicted error of {upper_bound([scalar]):.2g} for unpolarized light, so "
+            "that the components of the field are propagated. "
+        )
     considered = tuple(predictions(scene, error, light, built))
     acceptable = [p for p in considered if limits.fault(p) is None]
     if not acceptable:
         listed = "; ".join(f"{p.label}: {limits.fault(p)}" for p in considered)
         raise SamplingError(
-            f"no engine reaches a relative error of {error:g} for this scene within the limits. {listed}"
+            f"no engine reaches a relative error of {error:g} for this scene within the limits. "
+            f"{reason}{listed}"
         )
     best = min(acceptable, key=lambda p: p.total_seconds(runs))
-    return Choice(best, considered, _reason(best, considered, limits))
+    return Choice(best, considered, reason + _reason(best, considered, limits))
 
 
 @dataclass(frozen=True)

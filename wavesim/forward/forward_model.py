@@ -95,12 +95,18 @@ class ForwardModel:
         self.pixels = means(grid, fill_factor, blur_pixels) if needs_means else None
         self.propagators = self._propagators(illumination.wavelength_um)
         self._propagators_of = {illumination.wavelength_um: self.propagators}
-        self._engines: dict[float, Operator] = {illumination.wavelength_um: engine}
+        self._engines: dict[tuple[float, int | None], Operator] = {(illumination.wavelength_um, None): engine}
         for mode in self.modes:
-            if mode.wavelength_um not in self._engines:
-                assert isinstance(engine, Engine)
+            whole = mode.wavelength_um, None
+            if mode.wavelength_um not in self._propagators_of:
                 self._propagators_of[mode.wavelength_um] = self._propagators(mode.wavelength_um)
-                self._engines[mode.wavelength_um] = engine.at_wavelength(mode.wavelength_um)
+            if whole not in self._engines:
+                assert isinstance(engine, Engine)
+                self._engines[whole] = engine.at_wavelength(mode.wavelength_um)
+            if mode.component is not None:
+                of_wavelength = self._engines[whole]
+                assert isinstance(of_wavelength, Engine)
+                self._engines[mode.wavelength_um, mode.component] = of_wavelength.component(mode.component)
         largest_sigma = full_weight_sigma(recorded)
         self._planes = [
             PlaneRecord.of(
@@ -240,16 +246,22 @@ class ForwardModel:
             results.append(intensity.reshape(measurement.amplitude.shape))
         return results
 
-    def _at_exit(self, transmission: NDArray[Any], light: Field) -> ComplexArray:
-        """Return the field on the exit grid."""
+    def _at_exit(
+        self, transmission: NDArray[Any], light: Field, component: int | None = None
+    ) -> ComplexArray:
+        """Return the field on the exit grid, or one of its components."""
         lit = light.with_values(np.multiply(transmission, light.values))
-        return np.asarray(self._engines[light.wavelength_um].forward(lit).values, self.dtype)
+        engine = self._engines[light.wavelength_um, component]
+        return np.asarray(engine.forward(lit).values, self.dtype)
 
-    def _adjoint_to_object(self, change: ComplexArray, light: Field) -> ComplexArray:
+    def _adjoint_to_object(
+        self, change: ComplexArray, light: Field, component: int | None = None
+    ) -> ComplexArray:
         """Return the change of the transmission due to a change on the exit grid, which is overwritten."""
         scene, values = self.engine.scene, light.values
         field = Field(scene.exit_grid, change.reshape(scene.exit_grid.shape), light.wavelength_um)
-        result = np.require(self._engines[light.wavelength_um].adjoint(field).values, self.dtype, ["W"])
+        engine = self._engines[light.wavelength_um, component]
+        result = np.require(engine.adjoint(field).values, self.dtype, ["W"])
         fraction = 1.0 / (self.peak_power * len(self.recorded))
 
         def rows(start: int, stop: int) -> None:
@@ -262,7 +274,9 @@ class ForwardModel:
         """Return the spectrum of each mode's field on the exit grid."""
         return [
             scipy.fft.fftn(
-                self._at_exit(transmission, mode.on(self.illumination)), workers=-1, overwrite_x=True
+                self._at_exit(transmission, mode.on(self.illumination), mode.component),
+                workers=-1,
+                overwrite_x=True,
             ).astype(self.dtype, copy=False)
             for mode in self.modes
         ]
@@ -303,7 +317,7 @@ class ForwardModel:
         for mode in self.modes:
             exit_field = scipy.fft.ifftn(totals.pop(0), workers=-1, overwrite_x=True)
             result += self.real.type(mode.weight) * self._adjoint_to_object(
-                exit_field, mode.on(self.illumination)
+                exit_field, mode.on(self.illumination), mode.component
             )
         return result, self.scale * math.sqrt(squared_misfit) / self.size
 

@@ -11,6 +11,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -31,6 +32,8 @@ from lensdesign.common.option_groups import OptionGroup
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.scene.bench_settings import BenchSettings, Numbers, Pair
+from wavesim.scene.polarization import read_polarization
+from wavesim.scene.scene import Scene
 
 STARTS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitude")}
 """Starts of each reconstruction method; the first is the default."""
@@ -275,6 +278,34 @@ class EngineSettings(EngineDetails):
     error: float | None = Field(None, description="Allowed relative error of the exit field; default: 0.05.")
 
 
+class LightSettings(Settings):
+    """Polarization of the light, and coatings other than those of the design."""
+
+    option_group: ClassVar[OptionGroup] = OptionGroup.ILLUMINATION
+
+    polarization: str = Field(
+        "auto",
+        description="Light: scalar waves, unpolarized, circular, or degrees of linear polarization from x; "
+        "auto: scalar waves where their error is allowed.",
+        json_schema_extra={"metavar": "[auto|scalar|unpolarized|circular]|DEG"},
+    )
+    coating: Literal["ideal", "bare", "mgf2"] | None = Field(
+        None, description="Coating of all surfaces; default: the design's."
+    )
+
+    @field_validator("polarization")
+    @classmethod
+    def _known_polarization(cls, value: str) -> str:
+        read_polarization("polarization", value)
+        return value
+
+    def lights(self, scene: Scene) -> Scene:
+        """Return the scene with this polarization and coating."""
+        return replace(
+            scene, polarization=read_polarization("polarization", self.polarization), coating=self.coating
+        )
+
+
 class MachineSettings(Settings):
     """Memory and cluster of a run."""
 
@@ -400,6 +431,7 @@ class ImageSettings(
     PoseSettings,
     MachineSettings,
     EngineSettings,
+    LightSettings,
     BenchSettings,
     CameraSettings,
     PatchSettings,
@@ -421,7 +453,7 @@ class ImageSettings(
     """
 
 
-class ChoiceSettings(PatchSettings, ObjectSettings):
+class ChoiceSettings(LightSettings, PatchSettings, ObjectSettings):
     """The object for whose light `wavesim choose-engine` predicts the errors of the engines."""
 
     patch_mm: float = Field(0.1, description="Side of the object patch.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -23,11 +24,15 @@ From one end of the band to the other, the picture of the steepest light shifts 
 
 
 class SourceMode(NamedTuple):
-    """Light of one direction and wavelength, and its fraction of the energy."""
+    """Light of one direction and wavelength, and its fraction of the energy.
+
+    For light with a polarization a mode is one component of the field behind the lens.
+    """
 
     weight: float
     tilt_deg: tuple[float, float]
     wavelength_um: float
+    component: int | None = None
 
     def on(self, light: Field) -> Field:
         """Return light of this direction and wavelength, given that of the middle of the source.
@@ -148,6 +153,13 @@ class Source:
                 angle = 2.0 * math.pi * (step + 0.5 * (ring % 2)) / angles
                 found.append((0.5 * weight / angles, (radius * math.cos(angle), radius * math.sin(angle))))
         return found
+
+
+def with_components(modes: Sequence[SourceMode], components: int) -> list[SourceMode]:
+    """Return every mode once for each component of the field behind the lens; their intensities add up."""
+    if components == 1:
+        return list(modes)
+    return [mode._replace(component=index) for mode in modes for index in range(components)]
 
 
 POINT = Source()

@@ -204,7 +204,7 @@ def image(
             )
             return hand_over_tiles(WithGhost(engine, settings.ghost) if settings.ghost else engine)
 
-        engine = make(recorded_scene(lens, patch, windows[0], recording))
+        engine = make(settings.lights(recorded_scene(lens, patch, windows[0], recording)))
         memory = Memory(imaging_bytes(engine, sensor, windows, recording), limit)
         predicted_error = engine.predicted_error(Light(behind_object))
         scratch = scratch_in(folder, memory.room_for_arrays("this picture"))

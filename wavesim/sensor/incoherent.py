@@ -19,12 +19,13 @@ def of_mode(
     """Return engine and field behind the object for one direction and wavelength of the source."""
     lit = mode.on(behind_object)
     if mode.wavelength_um == behind_object.wavelength_um:
-        return engine, lit
+        return engine if mode.component is None else engine.component(mode.component), lit
     if make is None:
         raise InputError(
             "make: missing; light of several wavelengths needs a function that makes an engine for each"
         )
-    return make(replace(engine.scene, wavelength_um=mode.wavelength_um)), lit
+    made = make(replace(engine.scene, wavelength_um=mode.wavelength_um))
+    return made if mode.component is None else made.component(mode.component), lit
 
 
 def added_modes(

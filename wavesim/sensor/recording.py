@@ -30,7 +30,7 @@ from wavesim.runtime.memory import MemoryNeed, in_memory, movable
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.scene import Scene, placed_scene
-from wavesim.scene.source import SourceMode
+from wavesim.scene.source import SourceMode, with_components
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
 from wavesim.sensor.camera_noise import Electronics, Seed, plane_seeds
 from wavesim.sensor.frames import Frame
@@ -168,7 +168,7 @@ def image_patch(
             scratch=scratch,
         )
 
-    modes = recording.state.source.modes(behind_object.wavelength_um, samples=max(behind_object.grid.shape))
+    modes = modes_of(engine, recording, behind_object.grid)
     light = light_of_mode(modes[0], "") if len(modes) == 1 else added_modes(modes, light_of_mode)
     frames, fraction_beyond = list[Frame](), 0.0
     seeds = plane_seeds(recording.seed, len(windows))
@@ -188,6 +188,13 @@ def image_patch(
             exposure_errors=_exposure_errors(recording, index),
         )
     return tuple(frames), fraction_beyond
+
+
+def modes_of(engine: Engine, recording: Recording, object_grid: Grid) -> list[SourceMode]:
+    """Return the modes of the light: directions, wavelengths, and components of the field."""
+    source = recording.state.source
+    modes = source.modes(engine.scene.wavelength_um, samples=max(object_grid.shape))
+    return with_components(modes, engine.components)
 
 
 def _exposure_errors(recording: Recording, index: int) -> tuple[float, ...]:
@@ -213,7 +220,7 @@ def imaging_bytes(
     """
     (across, down), planes = sensor.pixels, len(windows)
     object_grid = engine.scene.object_grid
-    modes = len(recording.state.source.modes(engine.scene.wavelength_um, samples=max(object_grid.shape)))
+    modes = len(modes_of(engine, recording, object_grid))
     # Counts of all frames, and for an extended source the intensities of modes and their sums.
     frame_bytes = 2 * len(recording.exposures) + (16 if modes > 1 else 0)
     held = 300_000_000 + engine.cost().peak_bytes_in_single + frame_bytes * planes * across * down

@@ -112,7 +112,7 @@ def test_broad_light_is_recorded_as_simulated_frames_record_it(model_parts: tupl
         grid, shape=(2 * grid.shape[0], 2 * grid.shape[1]), pitch_mm=0.5 * PITCH, z_mm=grid.z_mm + 0.3
     )
     expected = np.zeros(grid.shape)
-    for weight, _, wavelength_um in source.modes(0.532, samples=lit.grid.shape[0]):
+    for weight, _, wavelength_um, _ in source.modes(0.532, samples=lit.grid.shape[0]):
         scene = replace(engine.scene, wavelength_um=wavelength_um)
         behind = engine_on(engine, scene).forward(
             replace(lit, values=t * lit.values, wavelength_um=wavelength_um)

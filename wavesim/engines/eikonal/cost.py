@@ -22,6 +22,7 @@ from wavesim.runtime.memory import COMPLEX64, COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
+from wavesim.scene.polarization import components_of
 from wavesim.scene.scene import Scene
 
 PROBE_SECONDS, MAP_SECONDS = {True: 0.015, False: 0.1}, {True: 0.004, False: 0.15}
@@ -71,18 +72,20 @@ def flat_cost(
     carrier = mapper(middle.centre_mm)
     size = _sizes(scene, plane, middle, carrier, error)
     count, shape = len(tiles), plane.grid.shape
+    components = max(1, len(components_of(scene.polarization)))
     # Number of complex products that take as long as one nonuniform point.
     spread_passes = 60
     one = rank * (
         fft_seconds(4 * size.modes, scene.object_grid.is_line) + pass_seconds(spread_passes * size.points)
     )
     if not size.taps:
-        one += pass_seconds(10 * size.window)
+        one += components * pass_seconds(10 * size.window)
     # Slowdown of transforms that exceed a processor's cache, on a line and on a plane.
     spread_out = {True: 1.0, False: 2.4}
     one *= spread_out[scene.object_grid.is_line]
     if size.taps:
-        one += pass_seconds(round((CARRY_PASSES + TAP_PASSES * size.taps) * size.window)) / THREADS
+        carried = pass_seconds(round((CARRY_PASSES + TAP_PASSES * size.taps) * size.window)) / THREADS
+        one += components * carried
     setup = MAP_SECONDS[scene.object_grid.is_line] + exponential_seconds(size.window)
     setup += 40.0 * pass_seconds(size.window + size.points)
     probing = PROBE_SECONDS[scene.object_grid.is_line]
@@ -96,6 +99,10 @@ def flat_cost(
 
     def peak_bytes(value_bytes: int) -> int:
         kept, passing = _bytes(size, rank, low_rank, len(shape), count, value_bytes)
+        if components > 1:
+            kept += value_bytes * components * size.points
+            # Crossed components have a carrier in single precision.
+            kept += COMPLEX64 * size.window if size.taps and value_bytes > COMPLEX64 else 0
         return max(LEAST_BYTES[scene.object_grid.is_line], count * kept + max(passing, beyond_bytes))
 
     return Cost(

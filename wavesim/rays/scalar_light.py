@@ -1,0 +1,70 @@
+"""Error of scalar waves for light with a polarization, from the Jones matrices of some rays.
+
+Scalar waves have one component, and the mean transmission of both polarizations. The light of an object that
+fills its aperture evenly has, after the lens, the components that the Jones matrices of its rays state. Their
+difference, relative to the whole field, is the error of scalar waves for unpolarized light.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.raytrace.polarization import jones_matrices
+from lensdesign.raytrace.rays import trace_compiled
+from wavesim.rays.interfaces import coating_coefficient
+from wavesim.rays.ray_bundles import incidence_cosines
+from wavesim.scene.engine import ErrorTerm
+from wavesim.scene.scene import Scene
+
+
+def scalar_light_term(scene: Scene) -> ErrorTerm | None:
+    """Return the error of scalar waves for unpolarized light; None if no ray passes the lens.
+
+    On a line the light is polarized across the line and stays so. Scalar waves are then exact.
+
+    Parameters
+    ----------
+    scene
+        Lens with its coatings, object grid and wavelength.
+
+    Raises
+    ------
+    InputError
+        If a coating's table ends before the angles of the rays.
+    """
+    if scene.object_grid.is_line or not scene.system.surfaces:
+        return None
+    origins, directions = _rays(scene)
+    system = scene.system
+    rays = trace_compiled(system, origins, directions, record_hits=True)
+    if not np.any(rays.ok):
+        return None
+    jones = jones_matrices(system, origins, rays).jones[rays.ok]
+    cosines = incidence_cosines(system, origins, rays)[rays.ok]
+    scalar = np.ones(len(jones), complex)
+    for surface in range(system.surfaces):
+        scalar = scalar * coating_coefficient(scene, surface, cosines[:, surface])
+    different = jones - scalar[:, None, None] * np.eye(2)
+    error = math.sqrt(float(np.sum(np.abs(different) ** 2) / np.sum(np.abs(jones) ** 2)))
+    names = "ideal coatings" if scene.has_ideal_coatings else "the coatings of the design"
+    return ErrorTerm(f"scalar light: one component instead of the polarization, with {names}", error)
+
+
+def _rays(scene: Scene) -> tuple[Array, Array]:
+    """Return rays of points over the object grid, evenly over the direction cosines of the aperture."""
+    grid = scene.object_grid
+    # Rings of directions within the aperture, and points along each side of the object grid.
+    rings, points = 16, 3
+    radius = np.sqrt((np.arange(rings) + 0.5) / rings)
+    turns = 2.0 * np.pi * np.arange(24) / 24.0
+    # The edge of the aperture from the grid's corners is a little steeper than from the axis.
+    reach = min(0.999, 1.2 * scene.lens.object.numerical_aperture)
+    cosines = reach * np.stack([np.outer(radius, np.cos(turns)), np.outer(radius, np.sin(turns))], axis=-1)
+    cosines = cosines.reshape(-1, 2)
+    headings = np.column_stack([cosines, np.sqrt(1.0 - np.sum(cosines**2, axis=1))])
+    x, y = (axis[np.linspace(0, len(axis) - 1, points).astype(int)] for axis in (grid.x_mm, grid.y_mm))
+    starts = np.array([(a, b, grid.z_mm) for a in x for b in y])
+    return np.repeat(starts, len(headings), axis=0), np.tile(headings, (len(starts), 1))
