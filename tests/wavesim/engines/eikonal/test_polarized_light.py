@@ -1,0 +1,180 @@
+"""Components of the field behind a coated plate against sums over plane waves; energy and adjoint."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lensdesign import Coating, CoatingLayer, InputError, Lens, ObjectSpace, Sensor, Surface, load_design
+from lensdesign.lens.coatings.thin_films import film_coefficients
+from wavesim import Field, Grid, Scene, engine_for, patch_scene
+from wavesim.engines.eikonal.engine import FlatTiles
+
+WAVELENGTH_UM, INDEX, SPREAD, APERTURE = 0.532, 1.5195, 0.125, 0.68
+K = 2e3 * math.pi / WAVELENGTH_UM
+FILMS = (1.38, 0.0964), (2.05, 0.1297), (1.65, 0.0806)
+COATED = Coating(layers=tuple(CoatingLayer(index=n, thickness_nm=1e3 * d) for n, d in FILMS))
+
+
+def plate_scene(size_mm: float, coating: str | Coating, polarization: str | float, dimensions: int) -> Scene:
+    """A plate as thick as its distance, for a beam whose amplitude at NA 0.5 is 3e-4 of that on the axis."""
+    outside, inside = (math.tan(math.asin(APERTURE / n)) for n in (1.0, INDEX))
+    widths = (math.tan(5.2 * SPREAD / n) for n in (1.0, INDEX))
+    lens = Lens(
+        wavelengths_um=(WAVELENGTH_UM,),
+        object=ObjectSpace(
+            field_diameter_mm=0.1 * size_mm, numerical_aperture=APERTURE, working_distance_mm=size_mm
+        ),
+        sensor=Sensor(pixel_pitch_um=1.0, pixels=(64, 64), plane_distances_mm=(0.5 * size_mm,)),
+        surfaces=(
+            Surface(
+                thickness_mm=size_mm,
+                material=INDEX,
+                semi_diameter_mm=size_mm * outside,
+                stop=True,
+                coating=coating,
+            ),
+            Surface(semi_diameter_mm=size_mm * (outside + 1.05 * inside), coating=coating),
+        ),
+    )
+    half = sum(d * width for d, width in zip((1.5 * size_mm, size_mm), widths, strict=True))
+    count, start = 2 * math.ceil(half / 4e-4), 2 * math.ceil(5.0 / (K * SPREAD) / (0.25e-3 * WAVELENGTH_UM))
+    return Scene(
+        lens,
+        Grid((start,) * dimensions, 0.25e-3 * WAVELENGTH_UM, -size_mm),
+        Grid((count,) * dimensions, 4e-4, 1.5 * size_mm),
+        WAVELENGTH_UM,
+        polarization=polarization,
+    )
+
+
+def beam(scene: Scene) -> Field:
+    grid, d = scene.object_grid, len(scene.object_grid.shape)
+    squared = np.asarray(grid.radius_squared_mm2())
+    values = np.exp(-0.5 * (K * SPREAD) ** 2 * squared) * (K * SPREAD) ** d * (2.0 * math.pi) ** (-0.5 * d)
+    return Field(grid, values.astype(complex), WAVELENGTH_UM)
+
+
+def plane_waves(scene: Scene, films: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Field of s light, of p light, and the mixing of both for light along x, as spectra on the exit grid."""
+    grid, size_mm = scene.exit_grid, -scene.object_grid.z_mm
+    sines = 2.0 * np.pi * np.fft.fftfreq(grid.shape[0], grid.pitch_mm) / K
+    py, px = (sines, 0.0 * sines) if grid.is_line else np.meshgrid(sines, sines, indexing="ij")
+    squared = px**2 + py**2
+    cosine = np.sqrt(np.where(squared < 0.9, 1.0 - squared, 1.0))
+    inside = np.sqrt(INDEX**2 - squared) / INDEX
+    indices, thicknesses = [complex(n) for n, _ in films], [d for _, d in films]
+    first = film_coefficients(1.0, INDEX, indices, thicknesses, cosine, WAVELENGTH_UM)
+    last = film_coefficients(INDEX, 1.0, indices[::-1], thicknesses[::-1], inside, WAVELENGTH_UM)
+    # The films displace air.
+    path = 1.5 * size_mm * cosine + size_mm * INDEX * inside - 2e-3 * sum(thicknesses) * cosine
+    wave = np.exp(-0.5 * squared / SPREAD**2 + 1j * K * path) * (squared < 0.9)
+    low = [float(axis[0]) for axis in (grid.y_mm, grid.x_mm)]
+    wave = wave * np.exp(1j * K * (py * low[0] + (0.0 if grid.is_line else px * low[1])))
+    turn = np.where(squared > 0.0, (px + 1j * py) ** 2 / np.where(squared > 0.0, squared, 1.0), 1.0)
+    return wave * first.ts * last.ts, wave * first.tp * last.tp, turn
+
+
+def differences(found: tuple[Field, ...], exact: list[np.ndarray]) -> list[float]:
+    """Relative differences of both components, with the measure of the sum over plane waves."""
+    pairs = list(zip([field.values for field in found], exact, strict=True))
+    scale = sum(np.vdot(e, f) for f, e in pairs) / sum(np.vdot(e, e) for _, e in pairs)
+    total = math.sqrt(sum(float(np.sum(np.abs(f) ** 2)) for f, _ in pairs))
+    return [float(np.linalg.norm(f - abs(scale) * e)) / total for f, e in pairs]
+
+
+@pytest.mark.parametrize(("coating", "films"), [("bare", ()), (COATED, FILMS)])
+@pytest.mark.parametrize("polarization", [0.0, 90.0])
+def test_a_line_behind_a_plate_has_the_sum_over_plane_waves(
+    coating: str | Coating, films: Any, polarization: float
+) -> None:
+    scene = plate_scene(4.0, coating, polarization, 1)
+    found = FlatTiles(scene, tile_width_mm=1.0, error=1e-4).forward_components(beam(scene))
+    s, p, _ = plane_waves(scene, films)
+    exact = np.fft.ifft(p if polarization else s)
+    apart = differences(found, [exact, 0.0 * exact])
+    assert apart[0] < 1e-4
+    assert apart[1] < 1e-12
+
+
+@pytest.mark.parametrize(("coating", "films", "allowed"), [("bare", (), 3e-4), (COATED, FILMS, 8e-4)])
+def test_a_plane_behind_a_plate_has_the_sum_over_plane_waves(
+    coating: str | Coating, films: Any, allowed: float
+) -> None:
+    """The error falls with the distance in wavelengths: the phase of the coating bends rays a little."""
+    scene = plate_scene(0.15, coating, 0.0, 2)
+    found = FlatTiles(scene, tile_width_mm=1.0, error=1e-4).forward_components(beam(scene))
+    s, p, turn = plane_waves(scene, films)
+    mean, half = 0.5 * (p + s), 0.5 * (p - s)
+    exact = [np.fft.ifft2(mean + half * turn.real), np.fft.ifft2(half * turn.imag)]
+    along, crossed = differences(found, exact)
+    assert along < allowed
+    size = np.linalg.norm(exact[1]) / np.linalg.norm(exact[0])
+    assert crossed < 0.04 * size
+
+
+@pytest.mark.parametrize("polarization", ["unpolarized", "circular", 30.0])
+def test_no_light_is_lost_by_ideal_coatings_and_the_reflected_part_by_bare_ones(
+    polarization: str | float,
+) -> None:
+    energies = {}
+    for coating in ("ideal", "bare"):
+        scene = plate_scene(0.05, coating, polarization, 2)
+        light = beam(scene)
+        found = FlatTiles(scene, tile_width_mm=1.0, error=1e-3).forward_components(light)
+        energies[coating] = sum(field.energy for field in found) / light.energy
+    axial = (4.0 * INDEX / (1.0 + INDEX) ** 2) ** 2
+    assert energies["ideal"] == pytest.approx(1.0, abs=0.05)  # |u|^2 counts without the cosine
+    assert energies["bare"] / energies["ideal"] == pytest.approx(axial, abs=1e-3)
+
+
+@pytest.mark.parametrize("polarization", ["unpolarized", 20.0])
+@pytest.mark.parametrize("dtype", [np.complex128, np.complex64])
+def test_the_adjoint_of_all_components(polarization: str | float, dtype: type) -> None:
+    lens = load_design("designs/paper_singlet.toml")
+    scene = replace(
+        patch_scene(lens, 0.02, meridional=False, plane_distance_mm=2.0),
+        polarization=polarization,
+        coating="bare",
+    )
+    grid = scene.exit_grid
+    scene = replace(scene, exit_grid=Grid((240, 240), 10.0 * grid.pitch_mm, grid.z_mm))
+    random = np.random.default_rng(3)
+
+    def noise(grid: Grid) -> Field:
+        values = random.standard_normal((2, *grid.shape))
+        return Field(grid, (values[0] + 1j * values[1]).astype(dtype), scene.wavelength_um)
+
+    engine = engine_for(scene, "eikonal", tile_width_mm=0.011)
+    start, ends = noise(scene.object_grid), [noise(scene.exit_grid) for _ in range(engine.components)]
+    forward, adjoint = engine.forward_components(start), engine.adjoint_components(ends)
+    left = sum(np.vdot(a.values, b.values) * a.grid.cell for a, b in zip(forward, ends, strict=True))
+    right = np.vdot(start.values, adjoint.values) * start.grid.cell
+    assert abs(left - right) < (1e-7 if dtype == np.complex128 else 1e-4) * abs(right)
+    for index in range(engine.components):
+        one = engine.component(index)
+        assert np.array_equal(one.forward(start).values, forward[index].values)
+    parts = [engine.component(i).adjoint(end).values for i, end in enumerate(ends)]
+    assert np.abs(sum(parts) - adjoint.values).max() < 1e-4 * np.abs(adjoint.values).max()
+
+
+def test_scalar_engines_and_calls_refuse_components() -> None:
+    scene = patch_scene(load_design("designs/paper_singlet.toml"), 0.02)
+    polarized = replace(scene, polarization="unpolarized")
+    for name in ("slices", "wpm", "thin-lens", "no-lens", "hierarchical"):
+        with pytest.raises(InputError, match="propagates scalar waves"):
+            engine_for(polarized, name)
+    engine = engine_for(polarized, "eikonal")
+    dark = Field(scene.object_grid, np.zeros(scene.object_grid.shape, complex), scene.wavelength_um)
+    with pytest.raises(InputError, match="has 4 components"):
+        engine.forward(dark)
+    with pytest.raises(InputError, match="from 0 to 3"):
+        engine.component(4)
+    with pytest.raises(InputError, match="scalar waves have one component"):
+        engine_for(scene, "eikonal").component(1)
+    with pytest.raises(InputError, match="polarization = 'slanted'"):
+        replace(scene, polarization="slanted")
