@@ -15,6 +15,7 @@ from .lens.poses import Pose, SurfacePerturbation
 from .lens.scaling import scaled
 from .lens.surface import Surface
 from .lens.surface_figure_source import SurfaceFigureSource
+from .lens.surface_roughness import SurfaceRoughness
 from .manufacture.drawing.sheets import lens_drawing, write_drawing
 from .manufacture.dxf.outline import write_outline
 from .manufacture.mesh.mesh import write_mesh
@@ -59,6 +60,7 @@ __all__ = [
     "Surface",
     "SurfaceFigureSource",
     "SurfacePerturbation",
+    "SurfaceRoughness",
     "TransferLensError",
     "check_design",
     "draw_all",

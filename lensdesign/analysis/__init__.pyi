@@ -5,6 +5,7 @@ from .ghosts import GhostReport, ghost_report
 from .moulding import MouldingCheck, moulding_checks
 from .paraxial import cardinal_points, first_order
 from .report import CheckReport
+from .roughness import RoughnessReport, roughness_report
 from .sag_tables import SagTable, sag_table, write_sag_table
 from .space_bandwidth import match, spread_limit_sine
 
@@ -12,6 +13,7 @@ __all__ = [
     "CheckReport",
     "GhostReport",
     "MouldingCheck",
+    "RoughnessReport",
     "SagTable",
     "cardinal_points",
     "check_design",
@@ -25,6 +27,7 @@ __all__ = [
     "observation_distance_mm",
     "pv_rms_waves",
     "rms_spot_diameter",
+    "roughness_report",
     "sag_table",
     "spread_limit_sine",
     "write_sag_table",

@@ -20,6 +20,7 @@ from lensdesign.analysis.moulding import moulding_checks
 from lensdesign.analysis.outline import thinnest_drawn_edge
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.analysis.report import CheckReport, Constraint, WavelengthCheck, WorstRay
+from lensdesign.analysis.roughness import roughness_report
 from lensdesign.analysis.space_bandwidth import Matching, match, smallest_exit_beam_diameter_mm
 from lensdesign.common.given import FilePath, object_of
 from lensdesign.files.design import load_design
@@ -131,6 +132,7 @@ def check_design(lens: Lens | FilePath, *, refined: bool = True) -> CheckReport:
         wavelengths=rows,
         figures=form_errors(lens),
         moulding=moulding_checks(lens),
+        roughness=roughness_report(lens),
     )
 
 

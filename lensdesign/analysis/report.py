@@ -8,6 +8,7 @@ from typing import Any
 from lensdesign.analysis.form_error import FormError
 from lensdesign.analysis.moulding import MouldingCheck
 from lensdesign.analysis.outline import DrawnEdge
+from lensdesign.analysis.roughness import RoughnessReport
 from lensdesign.common.notebook import html_table
 from lensdesign.common.text import finite_or_none, number_with_unit, relation_symbol
 
@@ -137,6 +138,8 @@ class CheckReport:
         Form error of each measured surface; empty without measured surfaces.
     moulding
         Checks of moulded elements, which `feasible` and `violations` do not include; empty without one.
+    roughness
+        Light that rough surfaces scatter, at the shortest wavelength; None without a rough surface.
 
     Examples
     --------
@@ -179,6 +182,7 @@ class CheckReport:
     wavelengths: tuple[WavelengthCheck, ...]
     figures: tuple[FormError, ...]
     moulding: tuple[MouldingCheck, ...] = ()
+    roughness: RoughnessReport | None = None
 
     @property
     def mouldable(self) -> bool:
@@ -203,6 +207,8 @@ class CheckReport:
             for c in self.constraints
         ]
         rows += [(f"element {c.element}: {c.name}", c.result_text) for c in self.moulding]
+        if self.roughness is not None:
+            rows.append(("scattered light", f"{100.0 * self.roughness.mean_fraction:.3g} %"))
         rows += [
             ("resolution", f"{self.resolution_um:.4g} µm"),
             ("effective, back focal length", f"{self.efl_mm:.4f}, {self.bfl_mm:.4f} mm"),

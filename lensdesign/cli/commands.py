@@ -28,10 +28,13 @@ from lensdesign.common.text import quantity_text, relation_symbol, visible
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.table import Table
 
     from lensdesign.analysis.moulding import MouldingCheck
     from lensdesign.analysis.report import CheckReport
+    from lensdesign.analysis.roughness import RoughnessReport
 
 app = make_app(
     "Design non-imaging spatial information transfer lenses.",
@@ -107,6 +110,8 @@ def check(
     Elements of plastic, and others that the design's [moulding] selects, are also checked for moulding:
     draft, gate, thicknesses, slopes and sags. A check without a stated value or a limit stays open. The
     limits that the design states are binding; published ones are guidelines.
+
+    Surfaces with a roughness scatter light. The check prints its fraction, its angles and its halo.
 
     Example: lensdesign check lens.toml
 
@@ -330,7 +335,8 @@ def _print_check(report: CheckReport) -> None:
         rows.append((label, f"{edge.drawn_thickness_mm:.3f} mm"))
     for row in rows:
         figures.add_row(*row)
-    print_tables(constraints, *([_moulding_table(report)] if report.moulding else []), figures)
+    more = [_moulding_table(report)] if report.moulding else []
+    print_tables(constraints, *more, figures, *([_scatter_table(r)] if (r := report.roughness) else []))
     for source, number in _moulding_sources(report).items():
         typer.echo(f"source {number}: {source}")
     for element, key in dict.fromkeys((m.element, m.limit_key) for m in report.moulding if m.limit is None):
@@ -348,6 +354,8 @@ def _print_check(report: CheckReport) -> None:
             f"{1e3 * f.wavelength_um:.1f} nm without tilt; PV {f.pv_without_power_waves:.3f}, "
             f"RMS {f.rms_without_power_waves:.3f} without power"
         )
+    for note in report.roughness.notes if report.roughness is not None else ():
+        say("warning:", note)
     if report.feasible and report.mouldable:
         typer.echo("every constraint is met")
     for sentence in report.violations:
@@ -355,6 +363,40 @@ def _print_check(report: CheckReport) -> None:
     for m in report.moulding:
         if m.met is False:
             say("beyond a guideline:" if m.is_guideline else "not met:", m.miss)
+
+
+def _scatter_table(report: RoughnessReport) -> Table:
+    planes = ", ".join(f"{z:g}" for z in report.plane_distances_mm)
+    found = table(
+        f"Scattered light at {report.wavelength_um:g} µm",
+        "surface",
+        "roughness",
+        "mean, largest fraction",
+        "half-width",
+        f"halo radius at {planes} mm",
+    )
+
+    def percent(mean: float, largest: float) -> str:
+        return f"{100.0 * mean:.3g}, {100.0 * largest:.3g} %"
+
+    def halo(radii_mm: Sequence[float]) -> str:
+        return ", ".join(f"{radius:.3g}" for radius in radii_mm) + " mm"
+
+    for one in report.surfaces:
+        found.add_row(
+            str(one.surface),
+            f"{one.rms_nm:g} nm rms, {one.correlation_length_um:g} µm",
+            percent(one.mean_fraction, one.largest_fraction),
+            f"{one.half_width_deg:.3g}°",
+            halo(one.halo_radius_mm),
+        )
+    centre, *edge = zip(report.mean_fractions, report.largest_fractions, strict=True)
+    width, radii = f"{report.half_width_deg:.3g}°", halo(report.halo_radius_mm)
+    found.add_row("all, field centre", "", percent(*centre), width, radii)
+    found.add_row(
+        "all, field edge", "", percent(*(max(values) for values in zip(*edge, strict=True))), "", ""
+    )
+    return found
 
 
 def _moulding_sources(report: CheckReport) -> dict[str, int]:

@@ -96,6 +96,8 @@ class SurfacePerturbation:
         Changes of further parameters of the shape, by their names, such as ``radius_x_mm``.
     figure
         Sag error that is added to the surface's own: one figure, or one for each trial.
+    roughness_rms_nm
+        Change of the root mean square roughness, which scatters light and does not bend rays.
 
     Raises
     ------
@@ -122,6 +124,7 @@ class SurfacePerturbation:
     coating_thickness_percent: Value = 0.0
     shape: Mapping[str, Value] = field(default_factory=dict)
     figure: SurfaceFigure | None = None
+    roughness_rms_nm: Value = 0.0
 
     def __post_init__(self) -> None:
         check_values(self)

@@ -16,6 +16,7 @@ from lensdesign.lens.coatings.coating import SurfaceCoating
 from lensdesign.lens.shapes.base import COEFFICIENTS, Shape, azimuths_rad, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
 from lensdesign.lens.surface_figure_source import SurfaceFigureSource
+from lensdesign.lens.surface_roughness import SurfaceRoughness
 
 
 class Surface(FrozenModel):
@@ -54,6 +55,8 @@ class Surface(FrozenModel):
         ``ideal`` (all light is transmitted), ``bare`` (Fresnel's equations), ``mgf2`` (a quarter wave of
         magnesium fluoride at the design's first wavelength), or layers or a table; see
         :class:`lensdesign.Coating`.
+    roughness
+        Roughness that scatters light; None means a smooth surface.
 
     Examples
     --------
@@ -78,6 +81,7 @@ class Surface(FrozenModel):
     stop: bool = False
     figure: SurfaceFigureSource | None = None
     coating: SurfaceCoating = "ideal"
+    roughness: SurfaceRoughness | None = None
 
     @field_validator("shape_type")
     @classmethod

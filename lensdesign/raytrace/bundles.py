@@ -7,7 +7,7 @@ stop. No entrance pupil is assumed, so the stop of a perturbed lens is filled co
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -215,17 +215,7 @@ def _stop_points(system: CompiledSystem, stop: int, xy: Array) -> Array:
 
 def _aim(system: CompiledSystem, stop: int, origins: Array, directions: Array, xy: Array) -> Array:
     """Correct directions by Newton's method until the rays hit the given points of an inner stop."""
-    until_stop = slice(0, stop + 1)
-    front = replace(
-        system,
-        rotation=np.ascontiguousarray(system.rotation[:, until_stop]),
-        vertex=np.ascontiguousarray(system.vertex[:, until_stop]),
-        shapes=system.shapes[until_stop],
-        index=np.ascontiguousarray(system.index[:, : stop + 2]),
-        semi_diameter=system.semi_diameter[until_stop],
-        tilted=system.tilted[until_stop],
-        figures=system.figures[until_stop],
-    )
+    front = system.part(0, stop + 1)
     trials = 1 if system.trials is None else system.trials
     cosines = np.array(np.broadcast_to(directions, (trials, *directions.shape[1:]))[..., :2])
 

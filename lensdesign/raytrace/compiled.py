@@ -70,6 +70,20 @@ class CompiledSystem:
         """Number of surfaces."""
         return len(self.semi_diameter)
 
+    def part(self, first: int, stop: int) -> CompiledSystem:
+        """Return the surfaces from index `first` to before `stop`, at least one, at their positions."""
+        some = slice(first, stop)
+        return replace(
+            self,
+            rotation=np.ascontiguousarray(self.rotation[:, some]),
+            vertex=np.ascontiguousarray(self.vertex[:, some]),
+            shapes=self.shapes[some],
+            index=np.ascontiguousarray(self.index[:, first : stop + 1]),
+            semi_diameter=self.semi_diameter[some],
+            tilted=self.tilted[some],
+            figures=self.figures[some],
+        )
+
     @cached_property
     def packed_shapes(self) -> tuple[NDArray[np.int8], Array, Array]:
         """Code, starting conic and terms of each shape, for the kernels.

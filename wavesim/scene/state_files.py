@@ -72,6 +72,7 @@ class _Surface(FrozenModel):
     index: Finite = 0.0
     shape: dict[str, Finite] = Field(default_factory=dict)
     figure: _Figure | None = None
+    roughness_rms_nm: Finite = 0.0
 
 
 class _Light(FrozenModel):
