@@ -16,9 +16,10 @@ light. Both formulas need a correlation length longer than the wavelength. :attr
 states where they do not hold.
 
 The fraction and the halo are means over many surfaces of equal statistics. In one lens, the scattered light
-interferes with the direct light. The fringes vanish in the pixels if their angles exceed those that the
-pixels sample. Otherwise, the roughness is a figure error on a small scale, and the mean does not describe the
-frames of one lens.
+interferes with coherent direct light, in a random pattern. Relative to the intensity, the pattern has the
+root mean square sqrt(2 F) for a scattered fraction F, which exceeds F by far. The part within the angles that
+the pixels sample is in the frames. If that is most of the light, the roughness is a figure error on a small
+scale, and the mean does not describe the frames of one lens.
 
 References
 ----------
@@ -48,6 +49,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.surface_roughness import NO_ROUGHNESS
 from lensdesign.raytrace.bundles import launch_compiled, pupil_rings
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.rays import trace_compiled
@@ -110,7 +112,10 @@ class RoughnessReport:
     plane_distances_mm, halo_radius_mm : tuple of float
         Distances of the planes from the exit vertex, and radius on each of the halo of all surfaces.
     resolved_fraction : float
-        Fraction of the scattered light whose fringes with the direct light the pixels can sample.
+        Fraction of the scattered light within the angles to the direct light that the pixels sample.
+    interference_rms : float
+        Root mean square of the pattern by interference of this part with coherent direct light in one lens,
+        relative to the intensity.
     surfaces : tuple of SurfaceScatter
         Surfaces with roughness, front to back.
     notes : tuple of str
@@ -129,6 +134,7 @@ class RoughnessReport:
     plane_distances_mm: tuple[float, ...]
     halo_radius_mm: tuple[float, ...]
     resolved_fraction: float
+    interference_rms: float
     surfaces: tuple[SurfaceScatter, ...]
     notes: tuple[str, ...]
 
@@ -269,13 +275,6 @@ def roughness_by_surface(
     return found
 
 
-NO_ROUGHNESS = (
-    "the design states no roughness of this surface, so that its correlation length is unknown; add "
-    "roughness = { rms_nm = ..., correlation_length_um = ... } to the surface"
-)
-"""Message for a surface whose roughness is to change and is not stated."""
-
-
 def roughness_report(
     lens: Lens,
     wavelength_um: float | None = None,
@@ -362,6 +361,8 @@ def roughness_report(
     halo = np.sqrt(np.sum([p * radii**2 for p, _, radii in widths], axis=0) / power)
     limit = spread_limit_sine(wavelength, lens.sensor.pixel_pitch_um)
     resolved = [_resolved(sine, limit) for _, sine, _ in widths]
+    resolved_fraction = sum(p * r for (p, _, _), r in zip(widths, resolved, strict=True)) / power
+    mean_fraction = float(np.sum(of_point * total) / of_point.sum())
     return RoughnessReport(
         wavelength_um=wavelength,
         field_points_mm=points,
@@ -372,7 +373,8 @@ def roughness_report(
         half_width_deg=_degrees(math.sqrt(sum(p * sine**2 for p, sine, _ in widths) / power)),
         plane_distances_mm=planes,
         halo_radius_mm=tuple(halo.tolist()),
-        resolved_fraction=sum(p * r for (p, _, _), r in zip(widths, resolved, strict=True)) / power,
+        resolved_fraction=resolved_fraction,
+        interference_rms=math.sqrt(2.0 * mean_fraction * resolved_fraction),
         surfaces=tuple(scatters),
         notes=tuple(
             note
@@ -441,6 +443,8 @@ def _resolved(sine: float, limit: float) -> float:
 
 def _notes(one: SurfaceScatter, wavelength_um: float, resolved: float) -> list[str]:
     notes, name = [], f"surface {one.surface}"
+    if one.mean_fraction == 0.0:
+        return []
     if one.largest_phase_rad > SMOOTH_PHASE_RAD:
         notes.append(
             f"{name}: rms_nm = {one.rms_nm:g}: the phase of {one.largest_phase_rad:.2g} rad rms exceeds the "
@@ -454,11 +458,11 @@ def _notes(one: SurfaceScatter, wavelength_um: float, resolved: float) -> list[s
         )
     if resolved > 0.5:
         notes.append(
-            f"{name}: correlation_length_um = {one.correlation_length_um:g}: the pixels sample the fringes "
-            f"of {100.0 * resolved:.0f} % of the scattered light with the direct light. The smooth "
-            "background is the mean of many lenses; one lens has fringes instead, with a contrast of about "
-            f"{200.0 * math.sqrt(one.mean_fraction):.2g} %. State the heights of one lens as the figure of "
-            "its surface"
+            f"{name}: correlation_length_um = {one.correlation_length_um:g}: the pixels sample the angles of "
+            f"{100.0 * resolved:.0f} % of the scattered light, which interferes with the direct light. The "
+            "smooth background is the mean of many lenses; one lens has a pattern of "
+            f"{100.0 * math.sqrt(2.0 * one.mean_fraction * resolved):.2g} % rms of the intensity instead. "
+            "State the heights of one lens as the figure of its surface"
         )
     return notes
 

@@ -354,8 +354,13 @@ def _print_check(report: CheckReport) -> None:
             f"{1e3 * f.wavelength_um:.1f} nm without tilt; PV {f.pv_without_power_waves:.3f}, "
             f"RMS {f.rms_without_power_waves:.3f} without power"
         )
-    for note in report.roughness.notes if report.roughness is not None else ():
-        say("warning:", note)
+    if report.roughness is not None:
+        typer.echo(
+            "in one lens, the scattered light interferes with the direct light: a pattern of "
+            f"{100.0 * report.roughness.interference_rms:.2g} % rms of the intensity in the pixels"
+        )
+        for note in report.roughness.notes:
+            say("warning:", note)
     if report.feasible and report.mouldable:
         typer.echo("every constraint is met")
     for sentence in report.violations:

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from lensdesign.common.frozen_model import FrozenModel, Positive
 
+NO_ROUGHNESS = (
+    "the design states no roughness of this surface, so that its correlation length is unknown; add "
+    "roughness = { rms_nm = ..., correlation_length_um = ... } to the surface"
+)
+"""Message for a surface whose roughness is to change and is not stated."""
+
 
 class SurfaceRoughness(FrozenModel):
     """Roughness of a surface: Gaussian heights with a Gaussian autocorrelation.

@@ -181,6 +181,11 @@ class BarImagingChain:
         from wavesim.sensor import FootprintWarning, SaturationWarning, image_patch, recorded_planes
         from wavesim.sensor.recording import fields_on_sensor, recorded_scene
         from wavesim.sensor.sensor import light_on_pixels
+        from wavesim.sensor.surface_scatter import (
+            halos_on_plane,
+            scatter_of_patch,
+            with_scattered_light,
+        )
 
         recording = self.recording(system, electrons, bits, noise)
         field, windows = placed_light(self.object_field, system), [self.sensor] * len(self.planes_mm)
@@ -192,7 +197,17 @@ class BarImagingChain:
             if electrons is not None:
                 return recorded_planes(image_patch(engine, field, self.sensor, windows, recording)[0])
             fields = fields_on_sensor(engine, field, windows, recording)
-            intensities = [light_on_pixels(one, self.sensor) for one in fields]
+            scatter = scatter_of_patch(
+                self.lens, self.patch.grid, field.wavelength_um, self.planes_mm, system
+            )
+            intensities = [
+                with_scattered_light(
+                    light_on_pixels(one, self.sensor),
+                    self.sensor.pixel_pitch_um,
+                    halos_on_plane(scatter, index),
+                )
+                for index, one in enumerate(fields)
+            ]
         return [
             Measurement(distance - self.planes_mm[0], np.sqrt(intensity).astype(np.float32))
             for distance, intensity in zip(self.planes_mm, intensities, strict=True)

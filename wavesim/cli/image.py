@@ -181,10 +181,26 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
             for (name, times), frame in zip(_names(recording), imaged.frames, strict=True)
         ],
         "diversity": imaged.diversity,
+        **_scattered(imaged),
         "energy_share_beyond_pixel_limit": imaged.share_beyond_pixels,
         "pixel_limit_per_mm": 500.0 / imaged.sensor.pixel_pitch_um,
         "memory": imaged.memory.as_dict(),
         "versions": versions(),
+    }
+
+
+def _scattered(imaged: Imaged) -> dict[str, Any]:
+    """Describe the light that rough surfaces scatter; empty without a rough surface."""
+    found = imaged.scattered
+    if found is None:
+        return {}
+    return {
+        "scattered_light": {
+            "fraction": found.mean_fraction,
+            "half_width_deg": found.half_width_deg,
+            "halo_radius_mm": list(found.halo_radius_mm),
+            "interference_rms": found.interference_rms,
+        }
     }
 
 
@@ -272,6 +288,14 @@ def _print(summary: dict[str, Any], output: Path) -> None:
         f"{100.0 * summary['energy_share_beyond_pixel_limit']:.2g} % of the light lies above their Nyquist "
         f"limit of {summary['pixel_limit_per_mm']:.4g} per mm"
     )
+    if "scattered_light" in summary:
+        scattered = summary["scattered_light"]
+        radii = ", ".join(f"{radius:.3g}" for radius in scattered["halo_radius_mm"])
+        print(
+            f"rough surfaces scatter {100.0 * scattered['fraction']:.3g} % of the light; radius of the halo "
+            f"on the planes: {radii} mm; the frames are the mean of many lenses, without interference of "
+            f"scattered and direct light ({100.0 * scattered['interference_rms']:.2g} % rms of the intensity)"
+        )
     rows = [
         (
             frame["file"],

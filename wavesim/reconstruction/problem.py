@@ -40,7 +40,7 @@ from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
 from wavesim.scene.source import Source, SourceMode
-from wavesim.scene.system_state import SystemState, state_of
+from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
 from wavesim.sensor.duplicate_frames import validate_distinct_frames
 from wavesim.sensor.frame_sets import (
     PlaneFrames,
@@ -52,6 +52,7 @@ from wavesim.sensor.frame_sets import (
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement, placed_planes
 from wavesim.sensor.merged_exposures import electrons_of, rounding_fraction
+from wavesim.sensor.surface_scatter import scatter_of_patch, with_stated_scatter
 from wavesim.sensor.windows import (
     LEAST_DIVERSITY,
     check_diversity,
@@ -197,6 +198,8 @@ def reconstruction_problem(
     if state is not None:
         scene, light = placed_scene(scene, state), placed_light(light, state)
         recorded = placed_planes(recorded, state)
+    if settings.method == "object":
+        recorded = _with_scatter(lens, recorded, framed, AS_DESIGNED if state is None else state)
     recorded, held_out = hold_out(recorded, settings.hold_out_plane)
     frame_light = light_of_frames(scene, framed.frames, light)
     # A source that is to be found counts as extended, and as broad as it may be, until it is known.
@@ -265,6 +268,15 @@ def reconstruction_problem(
         rounding=max(rounding_fraction(frame) for frame in framed.frames),
         light_behind=lambda other: _light_behind(other, settings, state),
     )
+
+
+def _with_scatter(
+    lens: Lens, recorded: Sequence[Measurement], framed: FramePatch, state: SystemState
+) -> list[Measurement]:
+    """Return the measurements with the light that rough surfaces of the design scatter as background."""
+    patch = framed.patch
+    scatter = scatter_of_patch(lens, patch.grid, patch.wavelength_um, framed.planes_mm, state)
+    return with_stated_scatter(recorded, framed.sensor.pixel_pitch_um, scatter)
 
 
 def _light_behind(patch: Patch, settings: ReconstructionSettings, state: SystemState | None) -> Field:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from lensdesign.analysis.roughness import RoughnessReport, RoughnessWarning
 from lensdesign.common.given import FilePath, object_of
 from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import validate
@@ -36,6 +38,7 @@ from wavesim.sensor.recording import (
     imaging_bytes,
     recorded_scene,
 )
+from wavesim.sensor.surface_scatter import scatter_of_patch
 from wavesim.sensor.windows import (
     check_footprint,
     diversity,
@@ -76,6 +79,8 @@ class Imaged:
         Estimated memory of the run.
     predicted_error : float
         Upper bound of the relative L2 error of this object's field on the first plane.
+    scattered : RoughnessReport or None
+        Light that rough surfaces of the lens scatter; None without a rough surface.
 
     Examples
     --------
@@ -100,6 +105,7 @@ class Imaged:
     diversity: float
     memory: Memory
     predicted_error: float
+    scattered: RoughnessReport | None = None
 
     def __repr__(self) -> str:
         return f"Imaged({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -165,6 +171,11 @@ def image(
     KeyboardInterrupt
         If the run is interrupted; the message says what was saved.
 
+    Warns
+    -----
+    RoughnessWarning
+        If the model of scattered light does not hold for a rough surface of the lens.
+
     Examples
     --------
     A Siemens star on two planes, at 1/64 of the size of the lens, which takes a second:
@@ -188,6 +199,9 @@ def image(
     pixels = lens.sensor.pixels if settings.pixels == "all" else settings.pixels
     sensor = sensor_window(lens, patch, planes, pixels, true_state)
     check_footprint(lens, patch, sensor, planes, true_state)
+    scattered = scatter_of_patch(lens, patch.grid, patch.wavelength_um, planes, true_state)
+    for note in scattered.notes if scattered is not None else ():
+        warnings.warn(note, RoughnessWarning, stacklevel=2)
     windows = [
         light_window(lens, patch, sensor, plane, true_state.at_plane(index))
         for index, plane in enumerate(planes)
@@ -240,6 +254,7 @@ def image(
         diversity=diversity(lens, patch, planes),
         memory=memory,
         predicted_error=predicted_error,
+        scattered=scattered,
     )
 
 

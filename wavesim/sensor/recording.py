@@ -44,6 +44,12 @@ from wavesim.sensor.sensor import (
     sensor_grid,
     warn_of_footprint,
 )
+from wavesim.sensor.surface_scatter import (
+    HALO_BYTES,
+    halos_on_plane,
+    scatter_of_patch,
+    with_scattered_light,
+)
 from wavesim.sensor.windows import OVERSAMPLING
 from wavesim.targets.patch import LIGHT_BYTES, Patch
 
@@ -104,6 +110,8 @@ def image_patch(
     scratch: Scratch | None = None,
 ) -> tuple[tuple[Frame, ...], float]:
     """Propagate the light behind the object to the sensor, and record frames on every plane.
+
+    Rough surfaces of the lens scatter a part of the light (:mod:`wavesim.sensor.surface_scatter`).
 
     Parameters
     ----------
@@ -173,8 +181,16 @@ def image_patch(
     frames, fraction_beyond = list[Frame](), 0.0
     seeds = plane_seeds(recording.seed, len(windows))
     pattern = recording.pixel_errors.pattern(sensor.pixels[::-1], recording.electronics.full_well_electrons)
-    for index, (seed, (intensity, beyond)) in enumerate(zip(seeds, light, strict=True)):
+    scatter = scatter_of_patch(
+        engine.scene.lens,
+        behind_object.grid,
+        behind_object.wavelength_um,
+        recording.plane_distances_mm,
+        recording.state,
+    )
+    for index, (seed, (direct, beyond)) in enumerate(zip(seeds, light, strict=True)):
         fraction_beyond = beyond if index == 0 else fraction_beyond
+        intensity = with_scattered_light(direct, sensor.pixel_pitch_um, halos_on_plane(scatter, index))
         frames += frames_of_light(
             _with_background(intensity, recording.state.background_on(index, intensity.shape)),
             sensor,
@@ -225,6 +241,8 @@ def imaging_bytes(
     frame_bytes = 2 * len(recording.exposures) + (16 if modes > 1 else 0)
     held = 300_000_000 + engine.cost().peak_bytes_in_single + frame_bytes * planes * across * down
     held += LIGHT_BYTES * object_grid.size
+    if any(surface.roughness is not None for surface in engine.scene.lens.surfaces):
+        held += HALO_BYTES * across * down
     if not isinstance(engine, Tiled):
         # With several planes: two fields and the work arrays of the free-space propagation between them.
         fields = 1 if planes == 1 else 4

@@ -66,6 +66,17 @@ def test_phase_screens_scatter_to_the_angles_of_formula_2(phase_rad: float, tole
     assert powers[inside].sum() / powers.sum() == pytest.approx(1.0 - math.exp(-1.0), rel=2.0 * tolerance)
 
 
+def test_interference_of_a_phase_screen_with_the_direct_light() -> None:
+    """Far behind a weak screen, the intensity has the relative deviation sqrt(2 F)."""
+    phase_rad, length, pitch_um = 0.05, 6.0, 1.5
+    field = np.fft.fft2(np.exp(1j * screens(phase_rad, length, 24)))
+    f = np.fft.fftfreq(field.shape[-1], pitch_um)
+    far = np.exp(-1j * math.pi * WAVELENGTH * 2e4 * (f[:, None] ** 2 + f**2))
+    intensity = np.abs(np.fft.ifft2(field * far)) ** 2
+    expected = math.sqrt(2.0 * float(scattered_fraction(np.array(phase_rad))))
+    assert intensity.std() / intensity.mean() == pytest.approx(expected, rel=0.03)
+
+
 def plate(**changes: Any) -> Lens:
     """A plate of glass with a rough back, lit by nearly parallel light."""
     back = {"semi_diameter_mm": 2.0, "roughness": ROUGH} | changes
@@ -201,6 +212,8 @@ def test_no_notes_within_the_range() -> None:
     assert report.notes == ()
     # Of a half-width L / (pi l), the pixels of a pitch p sample up to L / (2 p).
     assert report.resolved_fraction == pytest.approx(1.0 - math.exp(-((math.pi / 6.4) ** 2)), rel=1e-4)
+    sampled = 2.0 * report.mean_fraction * report.resolved_fraction
+    assert report.interference_rms == pytest.approx(math.sqrt(sampled), rel=1e-6)
 
 
 sizes = st.floats(1e-3, 1e3)
@@ -257,6 +270,7 @@ def test_the_check_prints_scattered_light(
     shown = run("check", path).stdout
     assert "Scattered light at 0.532 µm" in shown
     assert "0.114, 0.138 %" in shown
+    assert "a pattern of 4.8 % rms of the intensity in the pixels" in shown
     assert "warning: surface 2: correlation_length_um = 10" in shown
     data = json.loads(run("check", path, "--json").stdout)["roughness"]
     assert data["surfaces"][0]["rms_nm"] == 5.0
