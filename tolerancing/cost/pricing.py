@@ -21,6 +21,7 @@ from tolerancing.perturbations.parameters import (
     IRREGULARITIES,
     RADII,
     ROLLS,
+    ROUGHNESS,
     RUNOUTS,
     SHAPE_PARAMETERS,
     TILTS,
@@ -174,7 +175,7 @@ def _quantity(parameter: PerturbedParameter) -> str:
         return "roll_deg"
     if name.startswith("decenter"):
         return "decenter_mm"
-    if name in (*IRREGULARITIES, "thickness_mm", "index", "abbe_percent"):
+    if name in (*IRREGULARITIES, ROUGHNESS, "thickness_mm", "index", "abbe_percent"):
         return name
     return "form_um" if name in SHAPE_PARAMETERS else "distance_mm"
 

@@ -20,7 +20,7 @@ from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.perturbations.parameters import IRREGULARITIES, PerturbedParameter
+from tolerancing.perturbations.parameters import IRREGULARITIES, ROUGHNESS, PerturbedParameter
 from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Compensator(PerturbedParameter):
 
     @model_validator(mode="after")
     def _adaptable(self) -> Compensator:
-        if self.parameter in IRREGULARITIES or self.target in ("light", "reconstruction"):
+        if self.parameter in (*IRREGULARITIES, ROUGHNESS) or self.target in ("light", "reconstruction"):
             raise ValueError(f"parameter = {self.parameter!r}: the reconstruction's model cannot adapt it")
         return self
 

@@ -1,4 +1,4 @@
-"""Merits of traced rays: spread angles, footprints, throughput."""
+"""Merits of traced rays: spread angles, footprints, throughput, scattered light."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lensdesign.common.frozen_model import FiniteNumber, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, points_text
 from tolerancing.merits.context import Context, Points
-from tolerancing.merits.sensor_rays import Arrival
+from tolerancing.merits.sensor_rays import Arrival, shifted_pose
 from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
@@ -133,6 +133,44 @@ class Throughput(RayMerit):
         weights = np.zeros(rays.ok.shape[-1])
         weights[: weighted * len(stop.points)] = np.tile(stop.weights / weighted, weighted)
         return np.sum(np.where(rays.ok, weights, 0.0), axis=-1)
+
+
+class ScatteredFraction(RayMerit):
+    """Fraction of the light of a field point that rough surfaces scatter, at the worst field point."""
+
+    def check(self, lens: Lens) -> None:
+        super().check(lens)
+        if all(surface.roughness is None for surface in lens.surfaces):
+            raise ValueError(
+                f"kind = {self.kind!r}: no surface of the design has a roughness; add roughness = "
+                "{ rms_nm = ..., correlation_length_um = ... } to a surface"
+            )
+
+    def scores(self, context: Context, batch: PerturbationBatch) -> Array:
+        from lensdesign.analysis.roughness import refractions, roughness_phases_rad, scattered_fraction
+        from lensdesign.raytrace.bundles import launch_compiled
+        from lensdesign.raytrace.compiled import compile_system
+
+        lens, wavelength = context.lens, context.wavelength_um(self.wavelength_um)
+        points, stop = self.points(lens), context.stop_samples()
+        perturbed = batch.surface_perturbations(lens, wavelength)
+        pose = batch.poses()
+        if batch.moves_rays:
+            pose = shifted_pose(pose, -batch.object_shift_mm(lens))
+        system = compile_system(lens, wavelength, pose, perturbed)
+        origins, directions = launch_compiled(
+            system, points, stop.points, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
+        )
+        rays = refractions(system, origins, directions)
+        phases = roughness_phases_rad(lens, rays, wavelength, perturbed)
+        fractions = scattered_fraction(np.linalg.norm(phases, axis=-1))
+        shape = (-1, len(points), len(stop.points))
+        weights = stop.weights * rays.ok.reshape(shape)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            means = np.sum(weights * fractions.reshape(shape), axis=-1) / np.sum(weights, axis=-1)
+        # A field point without light has no scattered light.
+        worst = _largest(means, np.isfinite(means))
+        return np.broadcast_to(worst, (len(batch),)).copy()
 
 
 def _largest(values: Array, ok: NDArray[np.bool_]) -> Array:

@@ -16,6 +16,7 @@ from lensdesign.errors import DesignError, MaterialError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
 from lensdesign.lens.shapes.registry import parameters
+from lensdesign.lens.surface_roughness import NO_ROUGHNESS
 from lensdesign.lens.temperature import ALUMINIUM_PER_K
 from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.perturbations.distributions.discrete import Discrete
@@ -34,6 +35,9 @@ RADII = {
 
 IRREGULARITIES = ("irregularity_pv_waves", "irregularity_rms_waves")
 GLASS_PARAMETERS = ("index", "abbe_percent")
+
+ROUGHNESS = "roughness_rms_nm"
+"""Parameter that changes how much light a surface scatters, and no ray."""
 
 LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
 """Parameters of the whole lens: the values of a pose."""
@@ -80,7 +84,7 @@ PARAMETERS = {
 }
 """Parameters that can be perturbed, by the first word of the target."""
 
-UNITS = ("mm", "um", "deg", "percent", "fringes", "waves", "c")
+UNITS = ("mm", "um", "nm", "deg", "percent", "fringes", "waves", "c")
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
@@ -257,6 +261,8 @@ class PerturbedParameter(FrozenModel):
             raise ValueError(
                 f"{key}: {self.target} has no semi_diameter_mm, to which this parameter refers; give it one"
             )
+        if self.parameter == ROUGHNESS and surface.roughness is None:
+            raise ValueError(f"{key}: {self.target}: {NO_ROUGHNESS}")
         if index < len(lens.surfaces) - 1:
             if self.parameter in GLASS_PARAMETERS and surface.material is None:
                 raise ValueError(f"{key}: {self.target} has air behind it, no glass")

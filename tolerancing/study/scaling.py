@@ -41,6 +41,7 @@ def scaling_of(parameter: PerturbedParameter) -> int:
     percent                 0      ratios are equal: of radii, of Abbe numbers
     c                       0      expansion is a ratio of lengths
     um                      0      the light, and with it its wavelength, stays
+    nm                      0      a roughness scatters as much light of the same wavelength
     none: conic, index      0      pure numbers of the shape and the glass
     none: (odd_)asphere_n   1 - n  the coefficient of r^n multiplies a length to the n to give a length
     none: slices            0      a number

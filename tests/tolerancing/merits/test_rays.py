@@ -7,10 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lensdesign import load_design
+from lensdesign import InputError, SurfaceRoughness, load_design, save_design
 from lensdesign.analysis.exit_beam import footprint, largest_spread_angle
+from lensdesign.analysis.roughness import roughness_report
+from lensdesign.errors import DesignError
+from tolerancing import load_study, run_study
+from tolerancing.cost.pricing import cost_of
+from tolerancing.cost.table import CostTable, Price, Process, load_costs
 from tolerancing.merits.context import Context, Sampling
-from tolerancing.merits.rays import FootprintRadius, LargestSpread, Throughput
+from tolerancing.merits.rays import FootprintRadius, LargestSpread, ScatteredFraction, Throughput
+from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.store.store import open_store
+from tolerancing.study.scaling import scaling_of
 
 ROOT = Path(__file__).parents[3]
 DESIGNS = [
@@ -45,3 +53,107 @@ def test_extreme_rays_have_no_weight_in_the_throughput(paper_lens):
         shares.append(float(merit.scores(context, context.perturbed((), np.zeros((1, 0))))[0]))
     assert 0.1 < shares[0] < 0.99
     assert shares[0] == pytest.approx(shares[1], abs=5e-3)
+
+
+ROUGHER = PerturbedParameter(target="surface 1", parameter="roughness_rms_nm")
+LESS_ROUGH = PerturbedParameter(target="surface 2", parameter="roughness_rms_nm")
+DECENTER = PerturbedParameter(target="object", parameter="decenter_y_mm")
+
+
+@pytest.fixture(scope="module")
+def rough_lens(paper_lens):
+    roughness = SurfaceRoughness(rms_nm=5.0, correlation_length_um=2.0)
+    return paper_lens.with_surface(0, roughness=roughness).with_surface(1, roughness=roughness)
+
+
+def scattered(**keys):
+    return ScatteredFraction(kind="scattered_fraction", at_most=0.01, **keys)
+
+
+def test_the_scattered_fraction_is_that_of_the_check(rough_lens):
+    context = Context(rough_lens, Sampling())
+    nominal = context.perturbed((), np.zeros((2, 0)))
+    report = roughness_report(rough_lens)
+    for point, expected in zip(report.field_points_mm, report.mean_fractions, strict=True):
+        scores = scattered(field_points_mm=(point,)).scores(context, nominal)
+        assert scores == pytest.approx([expected, expected], rel=1e-9)
+    assert scattered().scores(context, nominal) == pytest.approx(max(report.mean_fractions), rel=1e-4)
+
+
+def test_perturbed_roughness_scatters_with_its_square(rough_lens):
+    context = Context(rough_lens, Sampling())
+    values = np.array(
+        [[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [-5.0, -5.0, 0.0], [-10.0, 0.0, 0.0], [0.0, 0.0, 0.2]]
+    )
+    batch = context.perturbed((ROUGHER, LESS_ROUGH, DECENTER), values)
+    nominal, one, none, opposite, moved = scattered().scores(context, batch)
+    assert one == pytest.approx(2.5 * nominal, rel=0.01)
+    assert none == 0.0
+    assert opposite == pytest.approx(nominal)
+    assert moved == pytest.approx(nominal, rel=0.01)
+    assert moved != nominal
+    spread = LargestSpread(kind="largest_spread_deg", at_most=90.0).scores(context, batch)
+    assert spread[:4] == pytest.approx(spread[0])
+
+
+def test_smooth_surfaces_have_no_roughness_to_perturb(paper_lens, rough_lens):
+    with pytest.raises(ValueError, match="surface 1: the design states no roughness of this surface"):
+        ROUGHER.check(paper_lens)
+    ROUGHER.check(rough_lens)
+    with pytest.raises(ValueError, match="no surface of the design has a roughness"):
+        scattered().check(paper_lens)
+
+
+def test_roughness_has_a_unit_does_not_scale_and_has_a_price_if_the_table_has_one(tmp_path, rough_lens):
+    assert ROUGHER.column == "surface_1_roughness_rms_nm"
+    assert ROUGHER.unit == "nm"
+    assert scaling_of(ROUGHER) == 0
+    loaded = load_study(study_file(tmp_path, rough_lens))
+    with pytest.raises(InputError, match="no roughness_rms_nm, for surface_1_roughness_rms_nm"):
+        cost_of(loaded.study, loaded.lens, load_costs())
+    prices = {"roughness_rms_nm": Price(reference=2.0, share=0.2)}
+    processes = {"polish": Process(source="a test", prices=prices)}
+    table = CostTable(default="polish", mount="polish", processes=processes)
+    assert cost_of(loaded.study, loaded.lens, table).total == pytest.approx(1.0 + 0.2 * 2.0 / 3.0)
+
+
+def study_file(folder, lens, surface=1):
+    save_design(lens, folder / "lens.toml")
+    path = folder / "study.toml"
+    path.write_text(
+        f"""
+design = "lens.toml"
+trials = 12
+seed = 3
+sensitivity = false
+
+[[perturbation]]
+target = "surface {surface}"
+parameter = "roughness_rms_nm"
+distribution = "uniform"
+half_width = 3.0
+
+[[merit]]
+kind = "scattered_fraction"
+at_most = 0.0025
+"""
+    )
+    return path
+
+
+def test_a_study_of_roughness_runs(tmp_path, rough_lens):
+    loaded = load_study(study_file(tmp_path, rough_lens))
+    run_study(loaded, tmp_path / "store", workers=1)
+    with open_store(tmp_path / "store") as store:
+        results = store.trials()
+    rms_nm = 5.0 + results.values[:, 0]
+    # Both surfaces scatter about as much; the fraction grows with the squares of their heights.
+    nominal = max(roughness_report(rough_lens).mean_fractions)
+    expected = 0.5 * nominal * (1.0 + (rms_nm / 5.0) ** 2)
+    assert results.scores[:, 0] == pytest.approx(expected, rel=0.01)
+
+
+def test_a_study_names_the_surface_without_roughness(tmp_path, rough_lens):
+    path = study_file(tmp_path, rough_lens.with_surface(0, roughness=None))
+    with pytest.raises(DesignError, match=r"perturbation 1: .*surface 1: the design states no roughness"):
+        load_study(path)
