@@ -90,9 +90,14 @@ def data_table(
     left, right = tolerances.left, tolerances.right
     left_rows = _surface_rows(element.front.surface, left, tolerances, 1.0, cemented[0], front_bevel)
     right_rows = _surface_rows(element.back.surface, right, tolerances, -1.0, cemented[1], back_bevel)
+    material_rows = material.rows
+    if element.front.surface.roughness is not None or element.back.surface.roughness is not None:
+        left_rows = (*left_rows, _texture(element.front.surface))
+        right_rows = (*right_rows, _texture(element.back.surface))
+        material_rows = (*material_rows, "")
     columns = (
         ("Left surface (L)", left_rows),
-        ("Material", material.rows),
+        ("Material", material_rows),
         ("Right surface (R)", right_rows),
     )
     step = area.height / (len(left_rows) + 1)
@@ -143,6 +148,11 @@ def _surface_rows(
         f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}{tolerances.mark('imperfections')}",
         f"6/ {tolerances.laser_damage or OPEN}",
     )
+
+
+def _texture(surface: Surface) -> str:
+    """Return the surface texture of the design (ISO 10110-8): polished, with the largest Rq."""
+    return f"P Rq {OPEN if surface.roughness is None else f'{surface.roughness.rms_nm:g} nm'}"
 
 
 def clear_text(semi_diameter_mm: float) -> str:

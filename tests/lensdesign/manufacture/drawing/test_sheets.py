@@ -22,6 +22,7 @@ from random_lenses import lenses, numbers, signed
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import closed_elements
+from lensdesign.lens.surface_roughness import SurfaceRoughness
 from lensdesign.manufacture.drawing.primitives import (
     THICK_MM,
     Area,
@@ -69,6 +70,17 @@ def aspheric_doublet(count: int) -> Lens:
         title=LONG,
         wavelengths_um=[0.45, 0.532, 0.6328, 0.7],
     )
+
+
+def test_roughness_of_the_design_is_the_texture_on_the_sheet(paper_lens: Lens) -> None:
+    rough = paper_lens.with_surface(1, roughness=SurfaceRoughness(rms_nm=2.5, correlation_length_um=1.0))
+    drawing = lens_drawing(rough, DrawingOptions(tolerances=(FULL,)))
+    assert_tidy(drawing)
+    texts = said(drawing.sheets[0])
+    assert "P Rq –" in texts
+    assert "P Rq 2.5 nm" in texts
+    smooth = lens_drawing(paper_lens, DrawingOptions(tolerances=(FULL,)))
+    assert not any("Rq" in text for text in said(smooth.sheets[0]))
 
 
 def test_the_paper_lens_says_what_it_is(paper_lens: Lens) -> None:
