@@ -36,6 +36,7 @@ SCRIPTS = (
     "phase_retrieval",
     "refocusing",
     "uncertainty",
+    "roughness",
     "verdicts",
     "plan_outcomes",
     "calibration_errors",

@@ -179,6 +179,36 @@ def reconstruction_pupil(picture: Path) -> None:
     _shrink(written, picture, 1000)
 
 
+def rough_frames(picture: Path) -> None:
+    """A frame of a smooth lens, and what equal roughness adds: on average, and in one lens."""
+    from benchmarks.roughness import CAMERA, PATCH, SCALE, rough_lens, with_screen
+    from lensdesign import scaled
+    from wavesim import image
+    from wavesim.sensor import estimate_intensity
+
+    lens = scaled(load_design(PAPER), SCALE)
+    plain = PATCH | CAMERA | {"noise": False}
+    smooth, rough = (image(one, "usaf", **plain) for one in (lens, rough_lens(lens, 10.0, 1.0)))
+    assert rough.scattered is not None
+    one_lens = with_screen(smooth, rough.scattered.mean_fraction, 1.0, 0)
+    frames = [estimate_intensity(taken[0])[0] for taken in (smooth.frames, rough.frames, one_lens)]
+    direct = frames[0] / frames[0].sum()
+    changes = [frame / frame.sum() - direct for frame in frames[1:]]
+    with chart_style():
+        figure = _figure(8.4, 2.8)
+        axes = figure.subplots(1, 3)
+        titles = "smooth lens", "mean of rough lenses", "one rough lens"
+        inner = slice(80, -80), slice(80, -80)
+        shown = [values[inner] / direct.max() for values in (direct, *changes)]
+        for one, title, values in zip(axes, titles, shown, strict=True):
+            is_frame = one is axes[0]
+            limits = {"vmin": 0.0, "vmax": 1.0} if is_frame else {"vmin": -0.03, "vmax": 0.03}
+            drawn = one.imshow(values, cmap="gray" if is_frame else "RdBu_r", **limits)
+            one.set(title=title, xticks=[], yticks=[])
+            figure.colorbar(drawn, ax=one, shrink=0.85)
+        _save(figure, picture)
+
+
 def view(picture: Path) -> None:
     """The lens, its rays and the planes of the sensor in space."""
     from lensdesign.plots.scene3d import render_lens
@@ -220,6 +250,7 @@ def main(arguments: list[str]) -> None:
         two_planes,
         spread_over_field,
         reconstruction_pupil,
+        rough_frames,
         view,
     ):
         draw(Path(arguments[0]) / f"{draw.__name__}.png")

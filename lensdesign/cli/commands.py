@@ -376,9 +376,9 @@ def _scatter_table(report: RoughnessReport) -> Table:
         f"Scattered light at {report.wavelength_um:g} µm",
         "surface",
         "roughness",
-        "mean, largest fraction",
+        "mean, largest",
         "half-width",
-        f"halo radius at {planes} mm",
+        f"halo at {planes} mm",
     )
 
     def percent(mean: float, largest: float) -> str:
@@ -397,10 +397,8 @@ def _scatter_table(report: RoughnessReport) -> Table:
         )
     centre, *edge = zip(report.mean_fractions, report.largest_fractions, strict=True)
     width, radii = f"{report.half_width_deg:.3g}°", halo(report.halo_radius_mm)
-    found.add_row("all, field centre", "", percent(*centre), width, radii)
-    found.add_row(
-        "all, field edge", "", percent(*(max(values) for values in zip(*edge, strict=True))), "", ""
-    )
+    found.add_row("all, centre", "", percent(*centre), width, radii)
+    found.add_row("all, edge", "", percent(*(max(values) for values in zip(*edge, strict=True))), "", "")
     return found
 
 

@@ -27,8 +27,8 @@ from wavesim.runtime.threads import row_blocks
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
 from wavesim.sensor.measurement import Measurement
 
-HALO_BYTES = 16
-"""Bytes per pixel for the scattered light of one plane."""
+HALO_BYTES = 45
+"""Bytes per pixel that the scattered light of one plane takes, as measured."""
 
 
 @dataclass(frozen=True)
