@@ -11,7 +11,11 @@ def test_the_supplied_table_tells_its_sources_and_prices_all_of_a_part():
     assert set(table.processes) == {"polished_glass", "moulded_glass", "moulded_plastic", "turned_mount"}
     assert all(process.source for process in table.processes.values())
     for name in ("polished_glass", "moulded_glass", "moulded_plastic"):
-        assert set(QUANTITIES) - set(table.processes[name].prices) == {"roll_deg", "distance_mm"}
+        assert set(QUANTITIES) - set(table.processes[name].prices) == {
+            "roll_deg",
+            "distance_mm",
+            "roughness_rms_nm",
+        }
 
 
 def test_halving_all_tolerances_of_a_part_makes_it_half_as_dear_again():

@@ -85,6 +85,37 @@ def test_the_halo_is_the_filter_of_scipy_on_light_of_any_form() -> None:
     assert found == pytest.approx(0.25 * filtered, abs=2e-3 * filtered.max())
 
 
+def test_the_mean_of_waves_through_random_screens_is_direct_light_and_halo() -> None:
+    """A beam, screens drawn by NumPy, and free space by its Fourier transform: nothing of the model."""
+    count, pitch_um, length_um, phase_rad, distance_um, wavelength_um = 256, 2.0, 12.0, 0.15, 4e3, 0.532
+    at = pitch_um * (np.arange(count) - count // 2)
+    squared = at[:, None] ** 2 + at**2
+    beam = np.exp(-squared / 60.0**2)
+    f = np.fft.fftfreq(count, pitch_um)
+    f_squared = f[:, None] ** 2 + f**2
+    spectrum = np.exp(-((math.pi * length_um) ** 2) * f_squared)
+    spectrum *= count**2 / spectrum.sum()
+    passage = np.exp(-1j * math.pi * wavelength_um * distance_um * f_squared)
+    rng = np.random.default_rng(11)
+
+    def behind(phase: np.ndarray) -> np.ndarray:
+        return np.abs(np.fft.ifft2(np.fft.fft2(beam * np.exp(1j * phase)) * passage)) ** 2
+
+    direct, mean = behind(np.zeros_like(beam)), np.zeros_like(beam)
+    draws = 150
+    for _ in range(draws):
+        noise = np.fft.fft2(rng.standard_normal(beam.shape))
+        mean += behind(phase_rad * np.fft.ifft2(np.sqrt(spectrum) * noise).real) / draws
+    radius_mm = 1e-3 * distance_um * wavelength_um / (math.pi * length_um)
+    halo = Halo(-math.expm1(-(phase_rad**2)), radius_mm)
+    expected = with_scattered_light(direct, pitch_um, [halo])
+    outside = squared > 140.0**2  # where there is hardly any direct light
+    assert direct[outside].sum() < 0.1 * expected[outside].sum()
+    assert mean[outside].sum() == pytest.approx(expected[outside].sum(), rel=0.05)
+    widths = [np.sum(light * squared) / np.sum(light) for light in (direct, mean, expected)]
+    assert widths[1] - widths[0] == pytest.approx(widths[2] - widths[0], rel=0.05)
+
+
 def test_a_wide_halo_falls_beside_the_sensor() -> None:
     light = point()
     found = scattered_on_pixels(light, PITCH_UM, [Halo(0.1, 10.0)])
