@@ -89,7 +89,7 @@ def correlation(lens: Lens, frames: tuple[Frame, ...], truth: Field) -> tuple[fl
 def main() -> None:
     """Print the correlations for each roughness and correlation length."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=3, help="phase screens for each roughness")
+    parser.add_argument("--seeds", type=int, default=2, help="phase screens for each roughness")
     seeds = range(parser.parse_args().seeds)
     lens = scaled(load_design(DESIGNS / "paper_singlet.toml"), SCALE)
     print("correlation (misfit over the noise) with frames of:")
