@@ -82,6 +82,8 @@ class CompiledSystem:
             semi_diameter=self.semi_diameter[some],
             tilted=self.tilted[some],
             figures=self.figures[some],
+            coatings=self.coatings[some],
+            index_beyond=None if self.index_beyond is None else self.index_beyond[:, some],
         )
 
     @cached_property
