@@ -7,6 +7,7 @@ from .files.design import load_design, save_design
 from .files.oslo import read_len
 from .files.zemax import read_zmx, write_zmx
 from .lens.coatings.coating import Coating, CoatingLayer
+from .lens.cover_glass import CoverGlass
 from .lens.edges import Edge, Flange, Gate
 from .lens.glass import get_material
 from .lens.lens import Lens, ObjectSpace, Sensor
@@ -38,6 +39,7 @@ __all__ = [
     "CheckReport",
     "Coating",
     "CoatingLayer",
+    "CoverGlass",
     "DesignError",
     "Edge",
     "Flange",

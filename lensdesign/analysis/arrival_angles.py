@@ -98,6 +98,7 @@ def arrival_angles(
         raise InputError(f"sensor_point_mm = {sensor_point_mm!r}: must be two finite numbers, x and y")
     points = lens.half_field_mm * pupil_hexapolar(object_rings).points
     system = compile_system(lens, wavelength_um)
+    lens.sensor.cover_glass_at(plane_distance_mm)
     plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
     owner, direction, ok = arriving_rays(lens, system, points, target, plane_z_mm)
     angle = np.arctan2(np.hypot(direction[:, 0], direction[:, 1]), direction[:, 2])

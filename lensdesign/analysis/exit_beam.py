@@ -19,6 +19,7 @@ from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.raytrace.bundles import launch_pairs, pupil_rings
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.extremes import Extremes, Metric, find_extremes
+from lensdesign.raytrace.plane_plate import PlanePlate
 from lensdesign.raytrace.rays import RayTrace, trace_compiled
 
 Perturbations = Mapping[int, SurfacePerturbation] | None
@@ -260,6 +261,7 @@ def rms_spot_diameter(
     samples = pupil_rings(rings=16, arms=48)
     field = np.tile([0.0, field_mm], (len(samples.points), 1))
     system = compile_system(lens, wavelength_um)
+    lens.sensor.cover_glass_at(plane_distance_mm)
     rays = _trace(lens, system, field, samples.points, lens.exit_vertex_z_mm + plane_distance_mm)
     weights = samples.weights * rays.ok
     passed = float(weights.sum())
@@ -385,7 +387,8 @@ def _search(
     refined: bool,
 ) -> tuple[tuple[Extremes, ...], Throughput]:
     system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
-    metrics = [metric for z in planes_mm for metric in ([_angle] if z is None else _reaches(lens, z))]
+    plate = system.cover_glass
+    metrics = [metric for z in planes_mm for metric in ([_angle] if z is None else _reaches(lens, z, plate))]
     heights, whole = _heights(lens, field_heights_mm), field_heights_mm is None
     found = find_extremes(
         lens, system, metrics, heights, symmetric=symmetric, between_heights=whole, refined=refined
@@ -432,16 +435,20 @@ def _angle(_position: Array, direction: Array) -> Array:
     return np.arctan2(np.hypot(direction[..., 0], direction[..., 1]), direction[..., 2])
 
 
-def _reaches(lens: Lens, plane_distance_mm: float) -> list[Metric]:
+def _reaches(lens: Lens, plane_distance_mm: float, plate: PlanePlate | None) -> list[Metric]:
     """Return metrics of the distance from the axis; without rotational symmetry, also along x and y."""
     plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
+    is_behind_plate = lens.sensor.cover_glass_at(plane_distance_mm) is not None
     rotational = all(surface.shape.ROTATIONAL for surface in lens.surfaces)
     weights = [(1.0, 1.0)] if rotational else [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]
 
     def reach(along: tuple[float, float], position: Array, direction: Array) -> Array:
         forward = direction[..., 2] > 0.0
         length = (plane_z_mm - position[..., 2]) / np.where(forward, direction[..., 2], 1.0)
-        x, y = (along[i] * (position[..., i] + length * direction[..., i]) for i in (0, 1))
+        points = position[..., :2] + length[..., None] * direction[..., :2]
+        if plate is not None and is_behind_plate:
+            points = points + plate.lateral_shift_mm(np.where(forward[..., None], direction[..., :2], 0.0))
+        x, y = (along[i] * points[..., i] for i in (0, 1))
         return np.where(forward, np.hypot(x, y), -np.inf)
 
     return [partial(reach, along) for along in weights]

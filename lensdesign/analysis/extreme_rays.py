@@ -89,9 +89,13 @@ class _ExtremeSearch:
             lens.stop_index,
             lens.stop_semi_diameter_mm,
         )
-        rays = trace_compiled(self.system, origins, directions, lens.exit_vertex_z_mm, threads=1)
+        in_air, plate = self.system.without_cover_glass(), self.system.cover_glass
+        rays = trace_compiled(in_air, origins, directions, lens.exit_vertex_z_mm, threads=1)
+        cosines = np.where(rays.ok[..., None], rays.direction[..., :2], 0.0)
+        shift = 0.0 if plate is None else plate.lateral_shift_mm(cosines)
         slopes = rays.direction[..., :2] / np.where(rays.ok, rays.direction[..., 2], 1.0)[..., None]
-        across = [rays.direction[..., :2], *(rays.position[..., :2] + z * slopes for z in self.planes_mm)]
+        behind = rays.position[..., :2] + shift
+        across = [rays.direction[..., :2], *(behind + z * slopes for z in self.planes_mm)]
         found = np.hypot(*np.moveaxis(np.stack(across), -1, 0))
         return np.where(rays.ok, found, -np.inf)
 

@@ -66,6 +66,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     rows = draft.rows if written_here else merge_touching_stop(fold_dummy_planes(draft.rows), draft)
     if len(rows) < 3:
         raise InputError(f"{source}: there are only planes in air between the object and the image")
+    rows, cover_glass = _without_cover_glass(rows, draft)
     rows, pose, working_distance, first_plane = _extract_pose(rows, draft)
     planes = _first_given(supplement.plane_distances_mm, _planes(draft, first_plane))
     stored = draft.notes.get("glass_catalogs")
@@ -92,6 +93,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         "pixel_pitch_um": _first_given(supplement.pixel_pitch_um, draft.notes.get("pixel_pitch_um")),
         "pixels": _first_given(supplement.pixels, draft.notes.get("pixels")),
         "plane_distances_mm": planes,
+        "cover_glass": cover_glass,
     }
     requested = supplement.numerical_aperture is not None
     stated = tuple(
@@ -99,7 +101,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     )
     rows, filled = _with_stop(rows, draft, values, catalogs, requested)
     surfaces = _surfaces(rows, draft)
-    missing = [name for name, value in values.items() if value is None]
+    missing = [name for name, value in values.items() if value is None and name != "cover_glass"]
     if missing:
         image = ""
         if "plane_distances_mm" in missing:
@@ -127,7 +129,11 @@ def _lens(
         "wavelengths_um": draft.wavelengths_um,
         "glass_catalogs": list(catalogs),
         "object": {k: values[k] for k in ("working_distance_mm", "field_diameter_mm", "numerical_aperture")},
-        "sensor": {k: values[k] for k in ("pixel_pitch_um", "pixels", "plane_distances_mm")},
+        "sensor": {
+            k: values[k]
+            for k in ("pixel_pitch_um", "pixels", "plane_distances_mm", "cover_glass")
+            if values[k]
+        },
         "surface": surfaces,
         "edge": draft.notes.get("edges", []),
     }
@@ -138,6 +144,42 @@ def _lens(
     except MaterialError as error:
         raise MaterialError(f"{draft.source}: {error}") from error
     return lens
+
+
+def _without_cover_glass(
+    rows: list[SurfaceRow], draft: Draft
+) -> tuple[list[SurfaceRow], dict[str, Any] | None]:
+    """Return the rows without the cover glass that the file's comments describe, and its table.
+
+    Planes that do not agree with the comments remain surfaces of the lens.
+    """
+    stored = draft.notes.get("cover_glass")
+    if stored is None:
+        return rows, None
+    keys = {"thickness_mm", "material", "distance_mm"}
+    is_table = isinstance(stored, dict) and set(stored) == keys
+    if len(rows) >= 5 and is_table:
+        before, front, rear, image = rows[-4:]
+        is_plane = all(row.radius_mm is None and not any(row.shape.values()) for row in (front, rear))
+        if (
+            is_plane
+            and front.material is not None
+            and rear.material is None
+            and _agrees(stored["thickness_mm"], front.thickness_mm)
+            and _agrees(stored["distance_mm"], rear.thickness_mm)
+        ):
+            added_mm = front.thickness_mm + rear.thickness_mm
+            kept = [*rows[:-4], replace(before, thickness_mm=before.thickness_mm + added_mm), image]
+            recorded = draft.recorded
+            if recorded:
+                last = replace(recorded[-4], distance_mm=recorded[-4].distance_mm + added_mm)
+                draft.recorded = [*recorded[:-4], last, recorded[-1]]
+            return kept, stored
+    draft.dropped.append(
+        "cover glass of the sensor: the last two surfaces do not agree with the file's comment on it, and "
+        "remain surfaces of the lens"
+    )
+    return rows, None
 
 
 def fold_dummy_planes(rows: Sequence[SurfaceRow]) -> list[SurfaceRow]:

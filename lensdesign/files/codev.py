@@ -42,6 +42,7 @@ from lensdesign.files.draft import (
     Supplement,
     SurfaceRow,
     check_writable,
+    cover_glass_surfaces,
     field_height_reader,
     find_glass,
     find_glass_of_unknown_maker,
@@ -55,11 +56,13 @@ from lensdesign.files.draft import (
     read_lines,
     read_note,
     read_vignetting,
+    written_surfaces,
 )
 from lensdesign.lens.glass import get_material, normalized_name, refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.even_asphere import CODEV_LETTERS, without_zeros
+from lensdesign.lens.surface import Surface
 
 MAKERS = ("SCHOTT", "OHARA", "HOYA", "CDGM", "HIKARI", "SUMITA", "CORNING")
 """Glass catalogues that CODE V also supplies."""
@@ -739,7 +742,7 @@ def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
 
 def _private_glasses(lens: Lens) -> list[str]:
     lines = []
-    for i, surface in enumerate(lens.surfaces, start=1):
+    for i, surface in enumerate(written_surfaces(lens), start=1):
         if surface.material is not None and _catalog_glass(surface.material, lens) is None:
             indices = [
                 refractive_index(surface.material, w, lens.glass_catalogs) for w in lens.wavelengths_um
@@ -771,11 +774,13 @@ def _surface_lines(lens: Lens, pose: Pose) -> list[str]:
         moves = [f"  XDE {x!r}; YDE {y!r}; ADE {-a!r}; BDE {-b!r}"]
         front = [f"SO 0.0 {to_pivot!r}", f"S 0.0 {to_front!r}", *moves]
         back = [*moves, "  REV"]
+    plate = lens.sensor.cover_glass
+    if plate is not None:
+        thicknesses[-1] -= plate.depth_mm if pose == Pose() else 0.0
+        to_sensor -= 0.0 if pose == Pose() else plate.depth_mm
     lines = []
     for i, (surface, thickness) in enumerate(zip(lens.surfaces, thicknesses, strict=True), start=1):
-        glass = ""
-        if surface.material is not None:
-            glass = " " + (_catalog_glass(surface.material, lens) or f"'{PRIVATE}{i}'")
+        glass = _glass_word(lens, surface, i)
         lines.append(f"S {surface.radius_mm or 0.0!r} {thickness!r}{glass}")
         kind, terms = surface.shape.codev()
         lines += ["  STO"] if surface.stop else []
@@ -783,4 +788,16 @@ def _surface_lines(lens: Lens, pose: Pose) -> list[str]:
         lines += [f"  {letter} {a!r}" for letter, a in terms.items()]
         lines += [f"  CIR {surface.semi_diameter_mm!r}"] if surface.semi_diameter_mm is not None else []
     back = [f"S 0.0 {to_sensor!r}{glass}", *back] if back else []
-    return [*front, *lines, *back, "SI 0.0 0.0"]
+    cover = []
+    if plate is not None:
+        front_face, _ = cover_glass_surfaces(lens)
+        word = _glass_word(lens, front_face, len(lens.surfaces) + 1)
+        cover = [f"S 0.0 {plate.thickness_mm!r}{word}", f"S 0.0 {plate.distance_mm!r}"]
+    return [*front, *lines, *back, *cover, "SI 0.0 0.0"]
+
+
+def _glass_word(lens: Lens, surface: Surface, number: int) -> str:
+    """Return the glass behind a surface as it follows the thickness in its line; empty for air."""
+    if surface.material is None:
+        return ""
+    return " " + (_catalog_glass(surface.material, lens) or f"'{PRIVATE}{number}'")

@@ -17,6 +17,7 @@ from lensdesign.errors import DesignError, InputError
 from lensdesign.files.surface_coatings import compile_coatings
 from lensdesign.files.surface_figures import check_surface_figures
 from lensdesign.lens.coatings.coating import Coating
+from lensdesign.lens.cover_glass import CoverGlass
 from lensdesign.lens.edges import Edge, Flange, Gate
 from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
@@ -93,6 +94,7 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
         for wavelength in lens.wavelengths_um:
             lens.indices(wavelength)
             compile_coatings(lens, wavelength)
+            lens.cover_glass_index(wavelength)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     return lens
@@ -212,10 +214,12 @@ def _suspicious_lengths(data: Mapping[str, Any]) -> list[str]:
             Surface.model_construct(**{key: table[key] for key in table if key not in ("figure", "coating")})
             for table in data["surface"]
         ]
+        glass = data["sensor"].get("cover_glass")
+        cover_glass = {} if glass is None else {"cover_glass": CoverGlass.model_construct(**glass)}
         lens = Lens.model_construct(
             wavelengths_um=tuple(data["wavelengths_um"]),
             object=ObjectSpace.model_construct(**data["object"]),
-            sensor=Sensor.model_construct(**data["sensor"]),
+            sensor=Sensor.model_construct(**data["sensor"] | cover_glass),
             surfaces=tuple(surfaces),
             edges=tuple(edges),
         )

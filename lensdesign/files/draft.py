@@ -30,6 +30,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.even_asphere import EvenAsphere
+from lensdesign.lens.surface import Surface
 
 MAX_SURFACES = 1000
 
@@ -403,16 +404,34 @@ def note_lines(lens: Lens, pose: Pose, folder: Path) -> list[str]:
         "pixels": lens.sensor.pixels,
         "plane_distances_mm": lens.sensor.plane_distances_mm,
         "working_distance_mm": lens.object.working_distance_mm,
-        "materials": [s.material if isinstance(s.material, str) else None for s in lens.surfaces],
+        "materials": [s.material if isinstance(s.material, str) else None for s in written_surfaces(lens)],
         "aperture": [lens.object.numerical_aperture, lens.stop_semi_diameter_mm],
     }
     if lens.glass_catalogs:
         notes["glass_catalogs"] = [os.path.relpath(c, folder.resolve()) for c in lens.glass_catalogs]
     if lens.edges:
         notes["edges"] = [edge.model_dump(mode="json", exclude_none=True) for edge in lens.edges]
+    if lens.sensor.cover_glass is not None:
+        notes["cover_glass"] = lens.sensor.cover_glass.model_dump(mode="json")
     if pose != Pose():
         notes["pose"] = asdict(pose)
     return [f"{NOTE} {key} {json.dumps(value)}" for key, value in notes.items()]
+
+
+def written_surfaces(lens: Lens) -> tuple[Surface, ...]:
+    """Return the surfaces of a file: those of the lens, and two planes for the cover glass of its sensor.
+
+    The cover glass stands in front of the first recording plane. It does not move with a pose of the lens.
+    """
+    return *lens.surfaces, *cover_glass_surfaces(lens)
+
+
+def cover_glass_surfaces(lens: Lens) -> tuple[Surface, ...]:
+    """Return the two planes of the sensor's cover glass; none without one. The second has no distance."""
+    glass = lens.sensor.cover_glass
+    if glass is None:
+        return ()
+    return Surface(thickness_mm=glass.thickness_mm, material=glass.material), Surface()
 
 
 def read_note(text: str, draft: Draft, location: str) -> None:

@@ -53,6 +53,7 @@ from lensdesign.files.draft import (
     read_lines,
     read_note,
     read_vignetting,
+    written_surfaces,
 )
 from lensdesign.files.zemax_configurations import SOLVES, text_of_configuration
 from lensdesign.lens.glass import get_material, glass_summary
@@ -920,7 +921,7 @@ def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
 def _header(lens: Lens) -> list[str]:
     catalogs = [
         get_material(s.material, lens.glass_catalogs).catalog
-        for s in lens.surfaces
+        for s in written_surfaces(lens)
         if isinstance(s.material, str)
     ]
     names = dict.fromkeys(c.removesuffix(".agf").removesuffix(".AGF").upper() for c in catalogs)
@@ -949,7 +950,7 @@ def _header(lens: Lens) -> list[str]:
 
 def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
     """Return the records of every surface from the object to the image."""
-    inner = [
+    records = [
         [
             f"TYPE {kind}",
             f"CURV {EXACT.divide(Decimal(1), Decimal(s.radius_mm))}"
@@ -966,10 +967,11 @@ def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
                 else []
             ),
         ]
-        for i, s in enumerate(lens.surfaces)
+        for i, s in enumerate(written_surfaces(lens))
         for kind, parameters in [s.shape.zemax()]
     ]
-    distances = [s.thickness_mm for s in lens.surfaces[:-1]]
+    inner, plate = records[: len(lens.surfaces)], records[len(lens.surfaces) :]
+    distances = [s.thickness_mm or 0.0 for s in lens.surfaces[:-1]]
     front, back = ["TYPE STANDARD", "CURV 0.0"], ["TYPE STANDARD", "CURV 0.0", "DISZ 0.0"]
     if pose == Pose():
         blocks = [front, *inner]
@@ -979,6 +981,10 @@ def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
         axes = pose_break(pose)
         blocks = [front, _break_records(axes), *inner, _break_records(axes.inverse())]
         distances = [to_pivot, to_front, *distances, to_back, to_sensor]
+    glass = lens.sensor.cover_glass
+    if glass is not None:
+        blocks += plate
+        distances = [*distances[:-1], distances[-1] - glass.depth_mm, glass.thickness_mm, glass.distance_mm]
     placed = [[*block, f"DISZ {d!r}"] for block, d in zip(blocks, distances, strict=True)]
     return [*placed, back]
 

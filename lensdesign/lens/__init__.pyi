@@ -1,6 +1,7 @@
 from .coatings.coating import Coating, CoatingLayer, SurfaceCoating
 from .coatings.film_materials import film_index
 from .coatings.thin_films import Coefficients, film_coefficients
+from .cover_glass import CoverGlass
 from .edges import Edge, Flange, Gate
 from .glass import get_material, glass_summary, list_glasses, refractive_index
 from .lens import Lens, ObjectSpace, Sensor
@@ -19,6 +20,7 @@ __all__ = [
     "Coating",
     "CoatingLayer",
     "Coefficients",
+    "CoverGlass",
     "Edge",
     "Element",
     "Flange",

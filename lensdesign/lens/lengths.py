@@ -337,6 +337,13 @@ def _of_object_and_sensor(lens: Lens) -> Iterator[str]:
     for number, plane in enumerate(lens.sensor.plane_distances_mm, start=1):
         what = f"sensor, plane_distances_mm {number}"
         yield from implausible_values(what, plane, _between(others, nearest))
+    glass = lens.sensor.cover_glass
+    if glass is not None:
+        location, others = "sensor, cover_glass", _others(lens)
+        sheet = _thickness(others, True, cemented=False)
+        yield from implausible_values(f"{location}, thickness_mm", glass.thickness_mm, sheet)
+        gap = _between(others, 0.0)
+        yield from implausible_values(f"{location}, distance_mm", glass.distance_mm, gap)
     pitch, (across, down) = lens.sensor.pixel_pitch_um, lens.sensor.size_mm
     if max(across, down) > FAR * max(_others(lens)) and pitch > PIXEL_PITCH_UM.usual[1]:
         reason = f"gives a sensor of {across:.4g} x {down:.4g} mm, more than {FAR:g} times all other lengths"

@@ -13,8 +13,9 @@ from pydantic import Field, field_validator, model_validator
 from lensdesign.common.frozen_model import FrozenModel, Positive, as_path
 from lensdesign.common.notebook import html_table
 from lensdesign.errors import DesignError, InputError
+from lensdesign.lens.cover_glass import CoverGlass
 from lensdesign.lens.edges import Edge
-from lensdesign.lens.glass import refractive_index
+from lensdesign.lens.glass import is_air, refractive_index
 from lensdesign.lens.moulding import Moulding
 from lensdesign.lens.section_picture import section_svg
 from lensdesign.lens.shapes.base import directions
@@ -61,7 +62,9 @@ class Sensor(FrozenModel):
     pixels
         Number of pixels along x and y.
     plane_distances_mm
-        Distances of the recording planes H1, H2, ... from the exit vertex, increasing.
+        Distances of the recording planes H1, H2, ... from the exit vertex to the pixels, increasing.
+    cover_glass
+        Plane plate in front of the pixels, which moves with the sensor (default: none).
 
     Examples
     --------
@@ -75,6 +78,7 @@ class Sensor(FrozenModel):
     pixel_pitch_um: Positive
     pixels: tuple[Annotated[int, Field(gt=0, le=1_000_000)], Annotated[int, Field(gt=0, le=1_000_000)]]
     plane_distances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    cover_glass: CoverGlass | None = None
 
     @field_validator("plane_distances_mm")
     @classmethod
@@ -82,6 +86,41 @@ class Sensor(FrozenModel):
         if any(b <= a for a, b in pairwise(value)):
             raise ValueError("distances must increase from one plane to the next")
         return value
+
+    @model_validator(mode="after")
+    def _glass_fits(self) -> Sensor:
+        self.cover_glass_at(self.plane_distances_mm[0])
+        return self
+
+    def cover_glass_at(self, plane_distance_mm: float) -> CoverGlass | None:
+        """Return the cover glass in front of a recording plane, after a check that it fits behind the lens.
+
+        Parameters
+        ----------
+        plane_distance_mm
+            Distance of the plane from the exit vertex. At 0 lies the exit vertex itself: a plane in air.
+
+        Returns
+        -------
+        CoverGlass or None
+            None if the sensor has none, or the plane is that of the exit vertex.
+
+        Raises
+        ------
+        DesignError
+            If the plate does not fit between the exit vertex and the plane.
+        """
+        glass = self.cover_glass
+        if glass is None or plane_distance_mm == 0.0:
+            return None
+        if glass.depth_mm > plane_distance_mm * (1.0 + 1e-12):
+            raise DesignError(
+                f"cover_glass: its front face lies {glass.depth_mm:g} mm in front of the pixels "
+                f"(thickness_mm = {glass.thickness_mm:g}, distance_mm = {glass.distance_mm:g}), but the "
+                f"recording plane lies only {plane_distance_mm:g} mm behind the exit vertex; "
+                f"thickness_mm + distance_mm must be at most {plane_distance_mm:g}, or the plane farther away"
+            )
+        return glass
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -166,6 +205,11 @@ class Lens(FrozenModel):
             raise ValueError(f"surfaces {stops} are all marked stop = true; a lens has one stop")
         if self.surfaces[self.stop_index].semi_diameter_mm is None:
             raise ValueError(f"surface {self.stop_index + 1} is the stop and needs a semi_diameter_mm")
+        if self.sensor.cover_glass is not None and not is_air(last.material):
+            raise ValueError(
+                f"surface {len(self.surfaces)}: material = {last.material!r} fills the space up to the "
+                "sensor; with a [sensor.cover_glass] there must be air behind the lens (no material)"
+            )
         self._check_crossing()
         self._check_object_outside()
         self._check_edges()
@@ -301,6 +345,25 @@ class Lens(FrozenModel):
             ]
         )
 
+    def cover_glass_index(self, wavelength_um: float) -> float:
+        """Return the refractive index of the sensor's cover glass; 1 without one.
+
+        Raises
+        ------
+        MaterialError
+            If the glass is unknown, or the wavelength lies outside the range for which it is known.
+        """
+        glass = self.sensor.cover_glass
+        if glass is None:
+            return 1.0
+        return refractive_index(glass.material, wavelength_um, catalogs=self.glass_catalogs)
+
+    def without_cover_glass(self) -> Self:
+        """Return the lens with a sensor without cover glass: the same lens if it has none."""
+        if self.sensor.cover_glass is None:
+            return self
+        return self.model_copy(update={"sensor": self.sensor.model_copy(update={"cover_glass": None})})
+
     def with_surface(self, index: int, **changes: Any) -> Self:
         """Return a validated lens with some values of one surface replaced.
 
@@ -336,6 +399,8 @@ class Lens(FrozenModel):
         rows = [(f"surface {number}", text) for number, text in enumerate(map(_summary, self.surfaces), 1)]
         pixels = " x ".join(map(str, self.sensor.pixels))
         planes = ", ".join(f"{d:g}" for d in self.sensor.plane_distances_mm)
+        glass = self.sensor.cover_glass
+        cover = "" if glass is None else f"; cover glass of {glass.thickness_mm:g} mm {glass.material}"
         rows += [
             ("wavelengths", f"{', '.join(f'{w:g}' for w in self.wavelengths_um)} µm"),
             (
@@ -343,7 +408,7 @@ class Lens(FrozenModel):
                 f"field {self.object.field_diameter_mm:g} mm, NA {self.object.numerical_aperture:g}, "
                 f"{self.object.working_distance_mm:g} mm before surface 1",
             ),
-            ("sensor", f"{pixels} pixels of {self.sensor.pixel_pitch_um:g} µm, {planes} mm behind"),
+            ("sensor", f"{pixels} pixels of {self.sensor.pixel_pitch_um:g} µm, {planes} mm behind{cover}"),
         ]
         try:
             picture = section_svg(glass_elements(self))

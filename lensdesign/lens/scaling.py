@@ -6,6 +6,7 @@ import math
 
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.errors import DesignError
+from lensdesign.lens.cover_glass import CoverGlass
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
@@ -14,10 +15,10 @@ from lensdesign.lens.surface import Surface
 def scaled(lens: Lens, factor: float) -> Lens:
     """Return a lens with all lengths scaled, including those of object space and sensor planes.
 
-    Numerical aperture, angles, glasses, wavelengths and the pixel pitch stay. The largest spread angle and
-    the resolution therefore stay too. The number of pixels and the space-bandwidth product scale with the
-    areas. A figure given by Zernike coefficients scales in size and in sag error; a figure in a grid file
-    cannot be scaled.
+    The cover glass of the sensor scales too. Numerical aperture, angles, glasses, wavelengths and the pixel
+    pitch stay. The largest spread angle and the resolution therefore stay too. The number of pixels and the
+    space-bandwidth product scale with the areas. A figure given by Zernike coefficients scales in size and in
+    sag error; a figure in a grid file cannot be scaled.
 
     Parameters
     ----------
@@ -56,6 +57,7 @@ def scaled(lens: Lens, factor: float) -> Lens:
         sensor=lens.sensor.replaced(
             plane_distances_mm=tuple(factor * distance for distance in lens.sensor.plane_distances_mm),
             pixels=tuple(max(1, round(factor * count)) for count in lens.sensor.pixels),
+            cover_glass=_cover_glass(lens, factor),
         ),
         edges=tuple(scaled_edge(edge, factor) for edge in lens.edges),
     )
@@ -101,6 +103,13 @@ def scaled_edge(edge: Edge, factor: float) -> Edge:
     flange = None if edge.flange is None else edge.flange.replaced(**times(edge.flange))
     gate = None if edge.gate is None else edge.gate.replaced(**times(edge.gate))
     return edge.replaced(**times(edge), flange=flange, gate=gate)
+
+
+def _cover_glass(lens: Lens, factor: float) -> CoverGlass | None:
+    glass = lens.sensor.cover_glass
+    if glass is None:
+        return None
+    return glass.replaced(thickness_mm=factor * glass.thickness_mm, distance_mm=factor * glass.distance_mm)
 
 
 def _surface(surface: Surface, factor: float) -> Surface:

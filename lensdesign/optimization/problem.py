@@ -231,12 +231,13 @@ class DesignProblem:
     def trace(
         self, point: Array, rays: Rays, derivatives: bool, planes_mm: Array | None, wavelength: int
     ) -> GradientTrace:
-        """Trace rays at a wavelength (by index) to planes at fixed distances.
+        """Trace rays at a wavelength (by index) in air to planes at fixed distances.
 
-        With None, the planes are those of the sensor, which move with the temperature.
+        With None, the planes are those of the sensor, which move with the temperature. A cover glass of the
+        sensor is not passed.
         """
         index = self.compiled.index[wavelength : wavelength + 1]
-        base = replace(self.compiled, trials=None, index=index)
+        base = replace(self.compiled.without_cover_glass(), trials=None, index=index)
         return self._traces(point, base, rays, derivatives, planes_mm)[0]
 
     def _traces(

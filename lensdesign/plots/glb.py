@@ -41,8 +41,8 @@ def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     -------
     tuple of str
         Names of the nodes: ``element_1_N-BK7``, ..., ``stop_ring``, ``object_disc``, ``sensor_plane_1``, ...,
-        and ``rays_0_mm``, ... for three field heights. Sensor planes have the size of the sensor. Rays end on
-        the last plane.
+        ``cover_glass_1``, ... for a sensor with a cover glass, and ``rays_0_mm``, ... for three field
+        heights. Sensor planes have the size of the sensor. Rays end on the last plane.
 
     Raises
     ------

@@ -282,13 +282,17 @@ def _draw_stop(axes: Axes, lens: Lens, frame: _Frame) -> None:
 
 
 def _draw_planes(axes: Axes, lens: Lens, frame: _Frame) -> None:
-    """Draw the object, the sensor planes and the axis."""
+    """Draw the object, the sensor planes with the cover glass at each of them, and the axis."""
     line: dict[str, Any] = {"color": INK, "lw": THICK, "solid_capstyle": "butt", "zorder": 4}
     half = max(lens.half_field_mm, frame.scale / 72.0)
     axes.plot([lens.object_z_mm] * 2, [-half, half], **line)
-    half = 0.5 * lens.sensor.size_mm[1]
+    half, glass = 0.5 * lens.sensor.size_mm[1], lens.sensor.cover_glass
     for z in lens.sensor_z_mm:
         axes.plot([z, z], [-half, half], **line)
+        if glass is not None:
+            front, rear = z - glass.depth_mm, z - glass.distance_mm
+            faces = [front, front, rear, rear], [-half, half, half, -half]
+            axes.fill(*faces, facecolor=GLASS, edgecolor=INK, lw=THIN, zorder=2)
     axes.plot([lens.object_z_mm, lens.sensor_z_mm[-1]], [0.0, 0.0], "-.", color=GREY, lw=THIN, zorder=0)
     axes.annotate(
         _object_name(lens),

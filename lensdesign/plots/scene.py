@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lensdesign.analysis.outline import drawn_outline
 from lensdesign.common.arrays import Array
+from lensdesign.lens.cover_glass import CoverGlass
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import closed_elements
 from lensdesign.manufacture.mesh.mesh import lens_mesh
@@ -156,6 +157,21 @@ def _planes(lens: Lens) -> Iterator[ScenePart]:
         label = f"H{index} = {distance:g} mm"
         name = f"sensor_plane_{index}"
         yield ScenePart(name, "plane", label, "#707070", 0.25, vertices, faces, border)
+    if lens.sensor.cover_glass is not None:
+        yield from _cover_glasses(lens, lens.sensor.cover_glass)
+
+
+def _cover_glasses(lens: Lens, glass: CoverGlass) -> Iterator[ScenePart]:
+    """Return the cover glass in front of each sensor plane, as a box of the sensor's size."""
+    import trimesh
+
+    label = f"cover glass: {glass.material}"
+    for index, z in enumerate(lens.sensor_z_mm, start=1):
+        box = trimesh.creation.box((*lens.sensor.size_mm, glass.thickness_mm))
+        vertices = box.vertices + np.array([0.0, 0.0, z - glass.depth_mm + 0.5 * glass.thickness_mm])
+        edges = vertices[box.face_adjacency_edges[box.face_adjacency_angles > 0.5]]
+        name = f"cover_glass_{index}"
+        yield ScenePart(name, "plane", label, "#A9D3EE", 0.4, vertices, box.faces, edges)
 
 
 def _rays(lens: Lens) -> Iterator[ScenePart]:

@@ -3,6 +3,7 @@ from .compiled import CompiledSystem, compile_system
 from .ghosts import ghost_system
 from .gradients import GradientTrace, at_wavelengths, gradient_traces
 from .paths import ray_paths, sized_lens
+from .plane_plate import PlanePlate, cover_plate
 from .polarization import (
     PolarizedRays,
     jones_matrices,
@@ -16,12 +17,14 @@ from .status import Status
 __all__ = [
     "CompiledSystem",
     "GradientTrace",
+    "PlanePlate",
     "PolarizedRays",
     "PupilSamples",
     "RayTrace",
     "Status",
     "at_wavelengths",
     "compile_system",
+    "cover_plate",
     "ghost_system",
     "gradient_traces",
     "jones_matrices",

@@ -21,6 +21,7 @@ from lensdesign.lens.shapes.intersection import SagError, sag_and_slopes
 from lensdesign.lens.shapes.registry import FormulaLengths, code_of, needed_formulas, padded_count
 from lensdesign.lens.surface import Surface
 from lensdesign.lens.surface_figure import SurfaceFigure, packed_surface_figures
+from lensdesign.raytrace.plane_plate import PlanePlate, cover_plate
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class CompiledSystem:
     index_beyond : ndarray, shape (trials or 1, surfaces), or None
         For light that is reflected: the index of the medium on the other side of each surface that reflects,
         and NaN for one that transmits. None if all surfaces transmit.
+    cover_glass : PlanePlate or None
+        Cover glass of the sensor, through which rays to a plane behind the lens pass.
     """
 
     trials: int | None
@@ -64,6 +67,7 @@ class CompiledSystem:
     figures: tuple[tuple[SurfaceFigure, ...], ...]
     coatings: tuple[CompiledCoating, ...]
     index_beyond: Array | None = None
+    cover_glass: PlanePlate | None = None
 
     @property
     def surfaces(self) -> int:
@@ -125,6 +129,10 @@ class CompiledSystem:
             terms,
             (packed.first, packed.layout, packed.per_mm, packed.coefficients),
         )
+
+    def without_cover_glass(self) -> CompiledSystem:
+        """Return the system without cover glass, for planes in air between the lens and the sensor."""
+        return self if self.cover_glass is None else replace(self, cover_glass=None)
 
     @property
     def rotational(self) -> bool:
@@ -204,6 +212,7 @@ def compile_system(
         tilted=np.any(rotation != np.eye(3), axis=(0, 2, 3)),
         figures=tuple(_surface_figures(lens, i, changes.get(i)) for i in range(count)),
         coatings=_coatings(lens, wavelength_um, changes),
+        cover_glass=cover_plate(lens, wavelength_um),
     )
 
 

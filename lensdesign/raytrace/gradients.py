@@ -13,6 +13,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.shapes.registry import needed_formulas
 from lensdesign.raytrace.bundles import launch_pairs
 from lensdesign.raytrace.compiled import CompiledSystem
+from lensdesign.raytrace.plane_plate import PlanePlate
 from lensdesign.raytrace.rays import trace_compiled
 from lensdesign.raytrace.status import Status
 
@@ -101,7 +102,9 @@ class GradientTrace:
 def at_wavelengths(systems: Sequence[CompiledSystem]) -> CompiledSystem:
     """Return one system with a trial for each wavelength; trials differ only in their refractive index."""
     index = np.concatenate([system.index for system in systems])
-    return replace(systems[0], trials=len(systems), index=index)
+    plates = [system.cover_glass for system in systems if system.cover_glass is not None]
+    plate = replace(plates[0], index=np.concatenate([p.index for p in plates])) if plates else None
+    return replace(systems[0], trials=len(systems), index=index, cover_glass=plate)
 
 
 def gradient_traces(
@@ -174,6 +177,8 @@ def gradient_traces(
         usable &= np.repeat(reached, rays)
         if not usable.all():
             raw.derivatives[~usable] = 0.0
+    if system.cover_glass is not None:
+        raw = _behind_plate(raw, system.cover_glass, system.surfaces)
     return tuple(
         raw.select(slice(w * rays, (w + 1) * rays), system.surfaces, float(semi[w]), semi_by[w], usable)
         for w in range(count)
@@ -214,6 +219,18 @@ class _Rays:
             stop_semi_diameter_by=semi_by,
             ok=usable[rays],
         )
+
+
+def _behind_plate(raw: _Rays, plate: PlanePlate, surfaces: int) -> _Rays:
+    """Return the rays with their points on planes behind a plate, and the derivatives of these points."""
+    values, derivatives = raw.values.copy(), raw.derivatives.copy()
+    cosines = np.where(raw.ok[:, None], raw.values[:, surfaces], 0.0)
+    by_wavelength = cosines.reshape(len(plate.index), -1, 2)
+    shift = plate.lateral_shift_mm(by_wavelength).reshape(-1, 2)
+    slopes = plate.shift_by_cosines(by_wavelength).reshape(-1, 2, 2)
+    values[:, surfaces + 1 :] += shift[:, None]
+    derivatives[:, surfaces + 1 :] += (slopes @ raw.derivatives[:, surfaces])[:, None]
+    return replace(raw, values=values, derivatives=derivatives)
 
 
 def _launched(

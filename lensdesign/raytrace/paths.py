@@ -10,7 +10,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import mechanical_semi_diameter_mm
 from lensdesign.raytrace.bundles import launch, pupil_rings
-from lensdesign.raytrace.rays import trace
+from lensdesign.raytrace.rays import RayTrace, trace
 from lensdesign.raytrace.status import Status
 
 FIELD_FRACTIONS = (0.0, 0.7, 1.0)
@@ -36,21 +36,41 @@ def ray_paths(lens: Lens, field_mm: tuple[float, float], pupil_points: ArrayLike
 
     Returns
     -------
-    ndarray, shape (n, surfaces + 2, 3)
-        Object point, a point on each surface, and one on the plane, in mm. A failed ray ends at its last
-        point, or before that at the ground edge of the glass; its last corners coincide.
+    ndarray, shape (n, surfaces + 2, 3), or (n, surfaces + 4, 3) with a cover glass
+        Object point, a point on each surface, one on each face of the sensor's cover glass, and one on the
+        plane, in mm. A failed ray ends at its last point, or before that at the ground edge of the glass; its
+        last corners coincide.
     """
     wavelength_um = lens.wavelengths_um[0]
     origins, directions = launch(lens, [field_mm], pupil_points, wavelength_um)
     rays = trace(lens, origins, directions, wavelength_um, plane_z_mm=lens.sensor_z_mm[-1], record_hits=True)
     assert rays.hits is not None  # record_hits is set
-    paths = np.concatenate([origins[:, None], rays.hits, rays.position[:, None]], axis=1)
+    ends = np.concatenate([*_on_cover_glass(lens, rays), rays.position[:, None]], axis=1)
+    paths = np.concatenate([origins[:, None], rays.hits, ends], axis=1)
     for ray in np.flatnonzero(rays.status == Status.CLIPPED):
         surface = int(rays.failed_surface[ray])
         if surface - 1 in lens.glass_fronts:
             radius = mechanical_semi_diameter_mm(lens, lens.glass_fronts.index(surface - 1))
             paths[ray, surface + 1 :] = _to_edge(paths[ray, surface], paths[ray, surface + 1], radius)
     return paths
+
+
+def _on_cover_glass(lens: Lens, rays: RayTrace) -> tuple[Array, ...]:
+    """Return where rays to the last plane meet the front and the rear of its cover glass, if it has one."""
+    glass = lens.sensor.cover_glass
+    if glass is None:
+        return ()
+    direction = np.where(rays.ok[:, None], rays.direction, [0.0, 0.0, 1.0])
+    slopes = direction[:, :2] / direction[:, 2:]
+    rear, front = rays.position.copy(), rays.position.copy()
+    index = lens.cover_glass_index(lens.wavelengths_um[0])
+    inside = direction[:, :2] / np.sqrt(index**2 - np.sum(direction[:, :2] ** 2, axis=1, keepdims=True))
+    rear[:, :2] -= glass.distance_mm * slopes
+    front[:, :2] = rear[:, :2] - glass.thickness_mm * inside
+    rear[:, 2] -= glass.distance_mm
+    front[:, 2] -= glass.depth_mm
+    arrived = rays.ok[:, None]
+    return tuple(np.where(arrived, face, rays.position)[:, None] for face in (front, rear))
 
 
 def _to_edge(start: Array, end: Array, radius: float) -> Array:

@@ -16,6 +16,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.plane_plate import PlanePlate
 from lensdesign.raytrace.status import Status
 
 RAYS_PER_THREAD = 16384
@@ -101,6 +102,8 @@ def trace(
         Pose of the whole lens (default: nominal). The rays and the final plane do not move with it.
     plane_z_mm
         z of the plane on which the rays end, in the fixed frame (default: the rays end on the last surface).
+        Rays to a plane pass the cover glass of the sensor, if there is one, as if it stood in front of this
+        plane.
     surface_perturbations
         Perturbations of single surfaces by index from 0 (default: none).
     clip
@@ -165,7 +168,17 @@ def trace_compiled(
         trials = ()
     result = _results((*trials, start.shape[1]), system.surfaces, record_hits, out)
     _run(system, start, heading, plane_z_mm, clip, result, threads)
+    if plane_z_mm is not None and system.cover_glass is not None:
+        _pass_plate(system.cover_glass, result)
     return result
+
+
+def _pass_plate(plate: PlanePlate, rays: RayTrace) -> None:
+    """Change the positions and paths of rays in air to those behind a plate, in place."""
+    cosines, arrived = rays.direction[..., :2], rays.ok
+    cosines = np.where(arrived[..., None], cosines, 0.0)
+    rays.position[..., :2] += np.where(arrived[..., None], plate.lateral_shift_mm(cosines), 0.0)
+    rays.opl[...] += np.where(arrived, plate.added_path_mm(cosines), 0.0)
 
 
 def _rays(values: ArrayLike, name: str) -> Array:

@@ -278,11 +278,13 @@ class _TracedArrangement:
         exit_z = moved[:, -1, 2][:, None, None]
         with np.errstate(all="ignore"):
             slopes = headings[..., :2] / headings[..., 2:]
+            plate = system.cover_glass
+            shift = 0.0 if plate is None else plate.lateral_shift_mm(headings[..., :2])
             for plane, limit in zip(
                 self.specification.sensor.plane_distances_mm, self._footprints_mm, strict=True
             ):
                 steps = (exit_z + plane - ends[..., 2])[..., None]
-                reach = np.linalg.norm(ends[..., :2] + steps * slopes, axis=-1)
+                reach = np.linalg.norm(ends[..., :2] + steps * slopes + shift, axis=-1)
                 others = np.maximum(others, np.where(ok, reach, 0.0).max(axis=-1) / limit)
         others = np.where(missing > 0.0, _BLOCKED * (1.0 + missing), others)
         limit = self.specification.spread_limit(wavelength_um)

@@ -136,7 +136,8 @@ class EstimateLimits:
     stop_mm
         Semi-diameter of a fixed stop; 0 if the stop follows the numerical aperture.
     planes_mm, footprints_mm
-        Distances of the sensor planes, and largest footprint radius on each.
+        Distances of the sensor planes, and largest footprint radius on each. A cover glass is replaced by
+        its paraxial equivalent: planes that lie nearer by t (1 - 1/n).
     """
 
     half_field_mm: float
@@ -164,7 +165,7 @@ class EstimateLimits:
             min(1.0, *sines),
             specification.constraints.min_air_gap_mm,
             specification.stop_semi_diameter_mm if specification.optimize.stop == "fixed" else 0.0,
-            specification.sensor.plane_distances_mm,
+            _planes_in_air_mm(specification),
             footprints,
         )
 
@@ -173,6 +174,15 @@ class EstimateLimits:
         """The single numbers in order, the planes, and the footprints."""
         numbers = [v for v in vars(self).values() if not isinstance(v, tuple)]
         return np.array(numbers), np.array(self.planes_mm), np.array(self.footprints_mm)
+
+
+def _planes_in_air_mm(specification: Specification) -> tuple[float, ...]:
+    """Return the distances of planes in air to which paraxial rays arrive as behind the cover glass."""
+    sensor, nearer_mm = specification.sensor, 0.0
+    if sensor.cover_glass is not None:
+        index = specification.cover_glass_index(specification.wavelengths_um[0])
+        nearer_mm = sensor.cover_glass.thickness_mm * (1.0 - 1.0 / index)
+    return tuple(distance - nearer_mm for distance in sensor.plane_distances_mm)
 
 
 @_jit

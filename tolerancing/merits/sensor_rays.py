@@ -14,6 +14,7 @@ from lensdesign.lens.poses import Pose, rotation_matrix
 from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
+    from lensdesign.raytrace.plane_plate import PlanePlate
     from lensdesign.raytrace.rays import RayTrace
 
 
@@ -81,13 +82,24 @@ def arriving_rays(
         lens.stop_index,
         lens.stop_semi_diameter_mm,
     )
-    rays = trace_compiled(system, origins, directions, lens.sensor_z_mm[0], threads=1)
+    # The cover glass moves and tilts with the sensor: rays pass it in the sensor's frame.
+    in_air, plate = system.without_cover_glass(), system.cover_glass
+    rays = trace_compiled(in_air, origins, directions, lens.sensor_z_mm[0], threads=1)
     trials = len(batch)
     if system.trials is None:
         rays = _repeated(rays, trials)
     if not batch.moves_rays:
-        return Arrival(rays.position[..., :2], rays.direction, rays.ok)
-    return _on_sensor(rays, batch.sensor_shift_mm(lens) - object_shift, batch.sensor_tilt_deg())
+        arrival = Arrival(rays.position[..., :2], rays.direction, rays.ok)
+    else:
+        shift_mm = batch.sensor_shift_mm(lens) - object_shift
+        arrival = _on_sensor(rays, shift_mm, batch.sensor_tilt_deg())
+    return arrival if plate is None else _behind_plate(arrival, plate)
+
+
+def _behind_plate(arrival: Arrival, plate: PlanePlate) -> Arrival:
+    """Return rays on the sensor behind a plate that is parallel to it."""
+    cosines = np.where(arrival.ok[..., None], arrival.direction[..., :2], 0.0)
+    return replace(arrival, position_mm=arrival.position_mm + plate.lateral_shift_mm(cosines))
 
 
 def shifted_pose(pose: Pose, shift_mm: Array) -> Pose:

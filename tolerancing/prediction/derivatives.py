@@ -201,14 +201,15 @@ def nominal_paths(
 ) -> Paths:
     """Trace rays from object points, one after the other, through the stop.
 
-    Rays that do not arrive are omitted unless `whole` is true.
+    Paths end in air on a plane, without the cover glass of the sensor. Rays that do not arrive are omitted
+    unless `whole` is true.
 
     Raises
     ------
     DesignError
         If not all of a whole pupil arrive, or none at all.
     """
-    system = compile_system(lens, wavelength_um)
+    system = compile_system(lens, wavelength_um).without_cover_glass()
     plane_z = lens.exit_vertex_z_mm + plane_distance_mm
     origins, directions = launch_compiled(
         system, fields_mm, stop.points, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm

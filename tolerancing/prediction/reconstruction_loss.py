@@ -282,7 +282,9 @@ class _Nodes:
         directions[:, 2] = np.sqrt(1.0 - np.sum(directions**2, axis=1))
         plane_z = lens.exit_vertex_z_mm + distances
         # Without clipping, all lenses of a search have the same rays.
-        rays = trace_compiled(system, origins, directions, float(plane_z[0]), record_hits=True, clip=False)
+        # Paths end in air: a cover glass changes none of their first derivatives.
+        in_air = system.without_cover_glass()
+        rays = trace_compiled(in_air, origins, directions, float(plane_z[0]), record_hits=True, clip=False)
         assert rays.hits is not None  # record_hits is true
         ok = rays.ok
         if np.count_nonzero(ok) <= TERMS:

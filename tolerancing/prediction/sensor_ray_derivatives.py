@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.bundles import PupilSamples
+from lensdesign.raytrace.plane_plate import cover_plate
 from tolerancing.merits.sensor_rays import Arrival
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import nominal_paths, sag_errors_on
@@ -108,9 +109,13 @@ def arrival_differentials(
     motions = Motions(paths, sag_errors_on(paths, changes))
     position, direction = arrivals_by(motions, lens.stop_index)
     moved = motions_of(changes)
-    return ArrivalDifferentials(
-        changes, paths.sensors_mm[:, :2], paths.directions[:, -1, :2], position @ moved, direction @ moved
-    )
+    positions_mm, cosines = paths.sensors_mm[:, :2], paths.directions[:, -1, :2]
+    position_by, direction_by = position @ moved, direction @ moved
+    plate = cover_plate(lens, wavelength)
+    if plate is not None:
+        positions_mm = positions_mm + plate.lateral_shift_mm(cosines)
+        position_by = position_by + plate.shift_by_cosines(cosines) @ direction_by
+    return ArrivalDifferentials(changes, positions_mm, cosines, position_by, direction_by)
 
 
 def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import GOLDEN
 
-from lensdesign import InputError, Lens, MaterialError, Pose, Surface
+from lensdesign import CoverGlass, InputError, Lens, MaterialError, Pose, Surface
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
+from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.draft import LossyImportError, Supplement
 from lensdesign.files.zemax import radius_mm, read_zmx, write_zmx
 
@@ -953,3 +954,42 @@ def test_a_file_that_is_cut_short_is_refused_or_has_the_same_lens(tmp_path: Path
         assert [s.radius_mm for s in found.surfaces] == [s.radius_mm for s in whole.surfaces]
         assert [s.material for s in found.surfaces] == [s.material for s in whole.surfaces]
     assert 0 < read < 20
+
+
+@pytest.mark.parametrize(
+    ("write", "read", "name"), [(write_zmx, read_zmx, "x.zmx"), (write_seq, read_seq, "x.seq")]
+)
+@pytest.mark.parametrize("pose", [Pose(), Pose(decenter_x_mm=0.1, tilt_y_deg=0.2, despace_mm=0.05)])
+@pytest.mark.parametrize(("material", "distance"), [("N-BK7", 0.5), (1.51, 0.0)])
+def test_a_cover_glass_is_written_as_two_planes_and_read_again(
+    paper_lens, tmp_path, write, read, name, pose, material, distance
+):
+    glass = CoverGlass(thickness_mm=0.7, material=material, distance_mm=distance)
+    lens = paper_lens.replaced(sensor=paper_lens.sensor.replaced(cover_glass=glass))
+    write(lens, tmp_path / name, pose)
+    found = read(tmp_path / name)
+    assert found.lens == lens
+    assert found.pose == pose
+    assert not found.dropped
+    # Without the comments, as another program sees the file, the plate consists of surfaces.
+    kind = "utf-16" if name == "x.zmx" else "utf-8"
+    text = (tmp_path / name).read_bytes().decode(kind)
+    kept = [line for line in text.splitlines() if "transferlens" not in line]
+    (tmp_path / name).write_bytes("\n".join(kept).encode(kind))
+    supplement = Supplement(pixel_pitch_um=3.2, pixels=(9344, 7000), plane_distances_mm=(0.5,))
+    if pose == Pose():
+        surfaces = read(tmp_path / name, supplement).lens.surfaces
+        assert [s.thickness_mm for s in surfaces[2:]] == [0.7, None]
+        assert surfaces[1].thickness_mm == pytest.approx(2.0 - 0.7 - distance, abs=1e-12)
+        assert surfaces[2].material == material
+
+
+def test_an_edited_cover_glass_remains_in_the_lens(paper_lens, tmp_path):
+    glass = CoverGlass(thickness_mm=0.7, material="N-BK7", distance_mm=0.5)
+    lens = paper_lens.replaced(sensor=paper_lens.sensor.replaced(cover_glass=glass))
+    write_zmx(lens, tmp_path / "x.zmx")
+    text = (tmp_path / "x.zmx").read_bytes().decode("utf-16")
+    assert text.count("DISZ 0.7") == 1
+    (tmp_path / "x.zmx").write_bytes(text.replace("DISZ 0.7", "DISZ 0.9").encode("utf-16"))
+    with pytest.raises(LossyImportError, match="cover glass of the sensor"):
+        read_zmx(tmp_path / "x.zmx")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from places import DESIGNS
 
-from lensdesign import Lens, load_design
+from lensdesign import CoverGlass, Lens, load_design
 from lensdesign.errors import DesignError
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.merits.sensor_rays import arriving_rays
@@ -35,9 +35,12 @@ ASKED = [
 FIELDS = ((0.3, 1.0), (-1.0, 0.2))
 
 
-@pytest.mark.parametrize("stop", [0, 1])
-def test_what_first_order_leaves_falls_with_the_square(stop: int) -> None:
+@pytest.mark.parametrize(("stop", "covered"), [(0, False), (1, False), (0, True)])
+def test_what_first_order_leaves_falls_with_the_square(stop: int, covered: bool) -> None:
     lens = _with_stop(load_design(DESIGNS / "paper_singlet.toml"), stop)
+    if covered:
+        glass = CoverGlass(thickness_mm=1.2, material="N-BK7", distance_mm=0.3)
+        lens = lens.replaced(sensor=lens.sensor.replaced(cover_glass=glass))
     parameters = [PerturbedParameter(target=target, parameter=name) for target, name, _ in ASKED]
     sizes = np.array([size for *_, size in ASKED])
     samples = pupil_rings(2, 5, edge=True)

@@ -18,6 +18,7 @@ from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.problem import Rays
 from lensdesign.raytrace.bundles import pupil_rings
+from lensdesign.raytrace.plane_plate import PlanePlate, cover_plate
 from tolerancing.merits.context import Sampling
 from tolerancing.merits.rays import FootprintRadius, RayMerit
 from tolerancing.prediction.goals.design import STEP, DesignPoint, TracedRays
@@ -57,7 +58,7 @@ def judged_rays(merit: RayMerit, lens: Lens, sampling: Sampling) -> Rays:
 
 
 class FollowedRays:
-    """Rays of a design on the first sensor plane, and how they follow perturbations to first order.
+    """Rays of a design on the first sensor plane, in air, and how they follow perturbations to first order.
 
     Parameters
     ----------
@@ -239,12 +240,25 @@ class RayLoads:
         slopes[..., 0, :] = 2.0 * across / self.merit.limit**2
         turned = np.sum(across * cosines, axis=-1, keepdims=True) * cosines / along**3
         slopes[..., 1, :] = 2.0 * self._further / self.merit.limit**2 * (across / along + turned)
+        if self._plate is not None:
+            by_cosines = self._plate.shift_by_cosines(cosines)
+            slopes[..., 1, :] += 2.0 / self.merit.limit**2 * np.einsum("...a,...ab->...b", across, by_cosines)
         return slopes
 
+    @cached_property
+    def _plate(self) -> PlanePlate | None:
+        """Cover glass of the sensor at the wavelength of the rays."""
+        design = self.followed.design
+        return cover_plate(design.problem.base, design.wavelength_um)
+
     def _beyond(self, cosines: Array, further: float | None = None) -> Array:
-        """Return the lateral displacement of rays between the first plane and the plane of the limit."""
-        distance = self._further if further is None else further
-        return np.asarray(distance * cosines / self._along(cosines))
+        """Return the lateral displacement of rays between the first plane in air and the plane of the limit.
+
+        It includes the shift by the cover glass of the sensor.
+        """
+        distance, plate = self._further if further is None else further, self._plate
+        shift = 0.0 if plate is None else plate.lateral_shift_mm(cosines)
+        return np.asarray(distance * cosines / self._along(cosines) + shift)
 
     def _along(self, cosines: Array) -> Array:
         """Return direction cosines along the axis, with an additional last axis of length 1."""
