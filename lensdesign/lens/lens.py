@@ -8,7 +8,13 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from lensdesign.common.frozen_model import FrozenModel, Positive, as_path
 from lensdesign.common.notebook import html_table
@@ -86,6 +92,14 @@ class Sensor(FrozenModel):
         if any(b <= a for a, b in pairwise(value)):
             raise ValueError("distances must increase from one plane to the next")
         return value
+
+    @model_serializer(mode="wrap")
+    def _serialized(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit a missing cover glass, so that saved runs of designs without one keep their keys."""
+        values: dict[str, Any] = handler(self)
+        if self.cover_glass is None:
+            values.pop("cover_glass", None)
+        return values
 
     @model_validator(mode="after")
     def _glass_fits(self) -> Sensor:

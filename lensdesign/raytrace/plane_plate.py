@@ -20,7 +20,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlanePlate:
     """A plane-parallel plate, perpendicular to the z axis, in air.
 

@@ -421,6 +421,7 @@ def _range(lens: Lens, settings: PlanSettings) -> tuple[float, float]:
             f"planes_mm: the design has one plane, at {planes[0]:g} mm: "
             "give the nearest and the farthest distance"
         )
+    lens.sensor.cover_glass_at(min(planes))
     return min(planes), max(planes)
 
 

@@ -27,7 +27,8 @@ class NoLens(Engine):
     Parameters
     ----------
     scene
-        Grids and wavelength. The lens contributes only the index in front of it.
+        Grids and wavelength. The lens contributes only the index in front of it, and the cover glass of
+        the sensor.
     force
         Whether to run even above the limits of memory and time.
     """
@@ -42,7 +43,8 @@ class NoLens(Engine):
     def _transfer(self) -> FreeSpacePropagator:
         scene = self.scene
         index = float(scene.system.index[0, 0])
-        return FreeSpacePropagator(scene.object_grid, scene.exit_grid, scene.wavelength_um, index)
+        ends = scene.object_grid, scene.exit_grid, scene.wavelength_um, index
+        return FreeSpacePropagator(*ends, plate=scene.system.cover_glass)
 
     @cached_property
     def _prepared(self) -> FreeSpacePropagator:

@@ -191,7 +191,9 @@ class ThinLens(Engine):
         before, behind = (float(n) for n in scene.system.index[0, [0, -1]])
         return (
             FreeSpacePropagator(scene.object_grid, front, scene.wavelength_um, before),
-            FreeSpacePropagator(rear, scene.exit_grid, scene.wavelength_um, behind),
+            FreeSpacePropagator(
+                rear, scene.exit_grid, scene.wavelength_um, behind, plate=scene.system.cover_glass
+            ),
         )
 
     @cached_property
@@ -278,6 +280,13 @@ class ThinLens(Engine):
         second = (scene.exit_grid.z_mm - thin.rear_mm[2]) / np.sqrt(1.0 - sine**2)
         path = before * first - 0.5 * thin.power_per_mm * at**2 + thin.extra_path_mm + behind * second
         landing = at + sine * second
+        plate = scene.system.cover_glass
+        if plate is not None:
+            cosines = np.stack([np.zeros_like(sine), sine], axis=-1)
+            landing, path = (
+                landing + plate.lateral_shift_mm(cosines)[:, 1],
+                path + plate.added_path_mm(cosines),
+            )
         order = np.argsort(landing)
         return landing[order], path[order]
 

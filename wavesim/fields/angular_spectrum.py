@@ -17,6 +17,7 @@ import scipy.fft
 from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.errors import InputError
+from lensdesign.raytrace.plane_plate import PlanePlate
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import (
     BandLimit,
@@ -48,16 +49,23 @@ class AngularSpectrum:
     """
 
     def __init__(
-        self, source: Grid, target: Grid, wavelength_um: float, index: float, pad: Pad, band_limit: bool
+        self,
+        source: Grid,
+        target: Grid,
+        wavelength_um: float,
+        index: float,
+        pad: Pad,
+        band_limit: bool,
+        plate: PlanePlate | None = None,
     ) -> None:
         if (source.shape, source.pitch_mm) != (target.shape, target.pitch_mm):
             raise InputError("pad and band_limit: can be set only for grids of the same shape and pitch")
         self.source, self.target = source, target
-        self.wavelength_um, self.index = wavelength_um, index
+        self.wavelength_um, self.index, self.plate = wavelength_um, index, plate
         self.distance_mm = target.z_mm - source.z_mm
         self.pad, self.band_limit = pad, band_limit
         if pad == "auto":
-            counts = padded_shape(source, target, wavelength_um, index, self.distance_mm)
+            counts = padded_shape(source, target, wavelength_um, index, self.distance_mm, plate)
             self.counts = tuple(scipy.fft.next_fast_len(n) for n in counts)
         elif len(pad) == len(source.shape) and all(n >= m for n, m in zip(pad, source.shape, strict=True)):
             self.counts = pad
@@ -83,7 +91,7 @@ class AngularSpectrum:
             bands = [BandLimit(pair.shift_mm, math.inf, math.inf) for pair in pairs]
         cycles = fft_frequencies(self.counts, self.source.pitch_mm)
         waves = PlaneWaves(cycles, self.wavelength_um, self.index)
-        return waves.transfer_function(self.distance_mm, bands, dtype=dtype)
+        return waves.transfer_function(self.distance_mm, bands, plate=self.plate, dtype=dtype)
 
     def _propagated(self, values: Any, adjoint: bool) -> Any:
         kind = np.result_type(values.dtype, np.complex64)

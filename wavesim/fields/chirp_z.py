@@ -15,6 +15,7 @@ import numpy as np
 import scipy.fft
 
 from lensdesign.errors import InputError
+from lensdesign.raytrace.plane_plate import PlanePlate
 from wavesim.fields.angular_spectrum import FACTOR_BYTES
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import (
@@ -89,13 +90,20 @@ class ChirpZ:
     the centres of their grids.
     """
 
-    def __init__(self, source: Grid, target: Grid, wavelength_um: float, index: float) -> None:
+    def __init__(
+        self,
+        source: Grid,
+        target: Grid,
+        wavelength_um: float,
+        index: float,
+        plate: PlanePlate | None = None,
+    ) -> None:
         self.source, self.target = source, target
-        self.wavelength_um, self.index = wavelength_um, index
+        self.wavelength_um, self.index, self.plate = wavelength_um, index, plate
         self.distance_mm = target.z_mm - source.z_mm
         self.inputs = [Samples(0.0, source.pitch_mm, n) for n in source.shape]
         self.outputs = [Samples(0.0, target.pitch_mm, n) for n in target.shape]
-        counts = padded_shape(source, target, wavelength_um, index, self.distance_mm)
+        counts = padded_shape(source, target, wavelength_um, index, self.distance_mm, plate)
         self.bands = [
             pair.band_limit(n) for pair, n in zip(sampling_windows(source, target), counts, strict=True)
         ]
@@ -117,7 +125,7 @@ class ChirpZ:
         dimensions = len(self.frequencies)
         cycles = [along(f.points(), axis, dimensions) for axis, f in enumerate(self.frequencies)]
         waves = PlaneWaves(cycles, self.wavelength_um, self.index)
-        factor = cell * waves.transfer_function(self.distance_mm, self.bands, dtype=kind)
+        factor = cell * waves.transfer_function(self.distance_mm, self.bands, plate=self.plate, dtype=kind)
         for axis, (x, f) in enumerate(zip(points, self.frequencies, strict=True)):
             values = chirp_z_transform(values, x, f, sign=-1, axis=axis)
         values = values * (np.conj(factor) if adjoint else factor)
@@ -150,6 +158,8 @@ class ChirpZ:
 
     def _bounds(self, band: BandLimit, nyquist: float, across: float) -> tuple[float, float]:
         """Return the lowest and highest transmitted frequency along one axis, by the highest of the other."""
+        if self.plate is not None:
+            return self._bounds_behind_plate(band, nyquist, across)
         if self.distance_mm == 0.0:
             return -nyquist, nyquist
         highest = 1e3 * self.index / self.wavelength_um
@@ -161,6 +171,19 @@ class ChirpZ:
             ends += [highest * sine, highest * sine * least_fraction]
         low, high = min(ends), max(ends)
         return max(low, -nyquist), min(high, nyquist)
+
+    def _bounds_behind_plate(self, band: BandLimit, nyquist: float, across: float) -> tuple[float, float]:
+        """Return the bounds of :meth:`_bounds` from samples of the lateral shift."""
+        count = 4097
+        cycles, step = np.linspace(-nyquist, nyquist, count, retstep=True)
+        arrives = np.zeros(count, bool)
+        for other in (0.0, across):
+            waves = PlaneWaves([cycles, np.asarray(other)], self.wavelength_um, self.index)
+            shift_mm = next(waves.lateral_shift_mm(self.distance_mm, self.plate))
+            arrives |= waves.propagating & (np.abs(shift_mm - band.shift_mm) <= band.stopped_mm)
+        if not np.any(arrives):
+            return -nyquist, nyquist
+        return max(cycles[arrives][0] - step, -nyquist), min(cycles[arrives][-1] + step, nyquist)
 
     @property
     def widest(self) -> int:

@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.raytrace.plane_plate import PlanePlate
 from wavesim.fields.field import Grid
 
 Pad = Literal["auto"] | tuple[int, ...]
@@ -155,27 +156,48 @@ class PlaneWaves:
         """Transverse wavenumbers (1/mm) along each axis (y, then x)."""
         return [2.0 * math.pi * cycles for cycles in self.cycles_per_mm]
 
-    def lateral_shift_mm(self, distance_mm: float) -> Iterator[Any]:
-        """Yield the lateral shift along each axis over a distance; meaningless where kz is 0."""
+    def kz_in(self, plate: PlanePlate) -> Any:
+        """Return the axial wavenumbers (1/mm) of the waves inside a plate; 0 for evanescent ones."""
+        return PlaneWaves(self.cycles_per_mm, self.wavelength_um, float(plate.index[0])).kz
+
+    def lateral_shift_mm(self, distance_mm: float, plate: PlanePlate | None = None) -> Iterator[Any]:
+        """Yield the lateral shift along each axis over a distance; meaningless where kz is 0.
+
+        With a plate, its thickness is part of the distance.
+        """
         safe = np.where(self.kz > 0.0, self.kz, np.ones_like(self.kz))
+        lengths = distance_mm / safe
+        if plate is not None:
+            inside = np.maximum(self.kz_in(plate), np.finfo(float).tiny)
+            lengths = lengths + plate.thickness_mm * (1.0 / inside - 1.0 / safe)
         for cycles in self.cycles_per_mm:
-            yield 2.0 * math.pi * distance_mm * cycles / safe
+            yield 2.0 * math.pi * cycles * lengths
 
     def transfer_function(
-        self, distance_mm: float, bands: Sequence[BandLimit] | None = None, *, dtype: Any = None
+        self,
+        distance_mm: float,
+        bands: Sequence[BandLimit] | None = None,
+        *,
+        plate: PlanePlate | None = None,
+        dtype: Any = None,
     ) -> Any:
         """Return the factor exp(i kz z) of each wave over a distance, 0 for omitted waves.
 
         With `bands` the factor refers to the shifted output window, and waves outside the bands are blocked.
+        With a plate of thickness t, whose faces transmit all light, a part t of the distance lies in its
+        glass: the factor is multiplied by exp(i t (kz_glass - kz)). The position of the plate has no effect.
         The result is complex128, or complex64 if that is the `dtype`.
         """
+        phase = self.kz * distance_mm
+        if plate is not None:
+            phase += plate.thickness_mm * (self.kz_in(plate) - self.kz)
         if bands is None:
-            factor = phasor_of(self.kz * distance_mm, dtype)
+            factor = phasor_of(phase, dtype)
             factor[~self.propagating] = 0.0
             return factor
-        phase, weight = self.kz * distance_mm, self.propagating.astype(float)
+        weight = self.propagating.astype(float)
         for cycles, shift_mm, band in zip(
-            self.cycles_per_mm, self.lateral_shift_mm(distance_mm), bands, strict=True
+            self.cycles_per_mm, self.lateral_shift_mm(distance_mm, plate), bands, strict=True
         ):
             weight *= band.weight(shift_mm)
             phase += TURN * band.shift_mm * cycles
@@ -253,10 +275,18 @@ def centres_mm(grid: Grid) -> tuple[float, ...]:
 
 
 def padded_shape(
-    source: Grid, target: Grid, wavelength_um: float, index: float, distance_mm: float
+    source: Grid,
+    target: Grid,
+    wavelength_um: float,
+    index: float,
+    distance_mm: float,
+    plate: PlanePlate | None = None,
 ) -> tuple[int, ...]:
     """Return the samples of a period along each axis for which no copy of the field reaches the output."""
     counts = []
+    if plate is not None:
+        # The lateral shift lies between those of the distance with and without the plate's thickness.
+        distance_mm = max(abs(distance_mm), abs(distance_mm - plate.thickness_mm))
     steepest = largest_lateral_shift_mm(source, wavelength_um, index, distance_mm)
     for axis, pair in enumerate(sampling_windows(source, target)):
         farthest = min(pair.reach_mm + abs(pair.shift_mm), steepest)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from lensdesign.errors import InputError
+from lensdesign.raytrace.plane_plate import PlanePlate
 from wavesim.fields.angular_spectrum import AngularSpectrum, TransferFunction
 from wavesim.fields.chirp_z import ChirpZ
 from wavesim.fields.field import Field, Grid
@@ -61,11 +62,14 @@ class FreeSpacePropagator:
     band_limit : bool
         Whether to omit waves whose lateral shift is too large for the padding. False only for grids of the
         same shape and pitch.
+    plate : PlanePlate, optional
+        Plane plate between the grids, such as the cover glass of a sensor. Its thickness is part of the
+        distance, and its faces transmit all light. Only between grids without tilt.
 
     Raises
     ------
     InputError
-        If grids, tilts or padding are not compatible.
+        If grids, tilts, padding or plate are not compatible.
     SamplingError
         If a tilt needs too many samples.
 
@@ -87,6 +91,7 @@ class FreeSpacePropagator:
     target_tilt_deg: Tilt | None = None
     pad: Pad = "auto"
     band_limit: bool = True
+    plate: PlanePlate | None = None
 
     def forward(self, values: Any) -> Any:
         """Return the values on the target for a field on the source.
@@ -139,19 +144,19 @@ class FreeSpacePropagator:
         is_padding_set = self.pad != "auto" or not self.band_limit
         tilt = self.source_tilt_deg or self.target_tilt_deg
         if tilt is not None:
-            if is_padding_set or (self.source_tilt_deg and self.target_tilt_deg):
+            if is_padding_set or self.plate or (self.source_tilt_deg and self.target_tilt_deg):
                 raise InputError(
-                    "source_tilt_deg, target_tilt_deg: only one plane can be tilted, and pad and band_limit "
-                    "must keep their defaults"
+                    "source_tilt_deg, target_tilt_deg: only one plane can be tilted, and pad, band_limit and "
+                    "plate must keep their defaults"
                 )
             rotated = RotatedSpectrum(*ends, tilt, straight=self.source_tilt_deg is None)
             check_sample_count(rotated.counts, "propagation to the tilted plane")
             return rotated
         if is_padding_set:
-            return AngularSpectrum(*ends, self.pad, self.band_limit)
-        chirped = ChirpZ(*ends)
+            return AngularSpectrum(*ends, self.pad, self.band_limit, self.plate)
+        chirped = ChirpZ(*ends, self.plate)
         if (self.source.shape, self.source.pitch_mm) == (self.target.shape, self.target.pitch_mm):
-            padded = AngularSpectrum(*ends, self.pad, self.band_limit)
+            padded = AngularSpectrum(*ends, self.pad, self.band_limit, self.plate)
             if padded.samples <= chirped.widest:
                 return padded
         return chirped

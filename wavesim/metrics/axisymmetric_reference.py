@@ -110,8 +110,10 @@ def summed_plane_waves(scene: Scene, values: NDArray, radii_mm: Array) -> Comple
     Raises
     ------
     InputError
-        If a surface is not rotationally symmetric about the z axis.
+        If a surface is not rotationally symmetric about the z axis, or the sensor has a cover glass.
     """
+    if scene.system.cover_glass is not None:
+        raise InputError("sensor, cover_glass: this reference has no plate; remove the table from the design")
     is_line, index = scene.object_grid.is_line, scene.system.index[0]
     rays = crossings(scene, scene.object_grid.centre_mm)
     surfaces = [_surface(scene, number) for number in range(scene.system.surfaces)]

@@ -142,7 +142,8 @@ def point_characteristic(
     Raises
     ------
     InputError
-        If a value is out of its range, or no ray passes the lens.
+        If a value is out of its range, no ray passes the lens, or the cover glass of the sensor does not fit
+        in front of the plane.
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     field = np.asarray(field_mm, float)
@@ -152,6 +153,7 @@ def point_characteristic(
         raise InputError(f"samples = {samples!r}: must be a whole number from 8 to 4096")
     validate_positive("plane_distance_mm", plane_distance_mm)
     validate_positive("wavelength_um", wavelength)
+    lens.sensor.cover_glass_at(plane_distance_mm)
     system = compile_system(lens, wavelength)
     point = np.array([*field, lens.object_z_mm])
     plane_z = lens.exit_vertex_z_mm + plane_distance_mm

@@ -128,7 +128,9 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
         If the grid needs more than `MOST_SAMPLES` samples.
     """
     margin = 1.02
-    half = margin * footprint(lens, wavelength_um, plane_distance_mm).radius_mm
+    # In air the light is at least as wide as behind a cover glass, which need not fit in front of this plane.
+    in_air = lens.without_cover_glass()
+    half = margin * footprint(in_air, wavelength_um, plane_distance_mm).radius_mm
     sine = math.sin(math.radians(largest_spread_angle(lens, wavelength_um).spread_deg))
     pitch = EXIT_FINENESS * 0.5e-3 * wavelength_um / sine
     if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:

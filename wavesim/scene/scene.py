@@ -31,7 +31,9 @@ class Scene:
     lens : Lens
         The nominal lens.
     object_grid, exit_grid : Grid
-        Grids in front of the lens and behind it; both lines, or both planes.
+        Grids in front of the lens and behind it; both lines, or both planes. The field on the exit grid is
+        that behind the cover glass of the sensor, if the lens has one. The position of the glass has no
+        effect, so that the field on any other plane follows by propagation in air.
     wavelength_um : float
         Vacuum wavelength in um.
     pose, surface_perturbations
@@ -152,7 +154,10 @@ def _with_indices_of(lens: Lens, wavelength_um: float) -> Lens:
         surface if surface.material is None else surface.replaced(material=index)
         for surface, index in zip(lens.surfaces, indices, strict=True)
     )
-    return lens.replaced(surfaces=tuple(surfaces))
+    sensor, glass = lens.sensor, lens.sensor.cover_glass
+    if glass is not None:
+        sensor = sensor.replaced(cover_glass=glass.replaced(material=lens.cover_glass_index(wavelength_um)))
+    return lens.replaced(surfaces=tuple(surfaces), sensor=sensor)
 
 
 def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:

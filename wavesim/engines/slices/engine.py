@@ -177,7 +177,12 @@ class AnnularSlices(Engine):
             for part, ray, cut in zip(reached, rays, planes, strict=True)
         ]
         return SurfaceTransfer(
-            scene.object_grid, scene.exit_grid, self.sides, surfaces, arriving(scene, self.light)
+            scene.object_grid,
+            scene.exit_grid,
+            self.sides,
+            surfaces,
+            arriving(scene, self.light),
+            scene.system.cover_glass,
         )
 
     @property

@@ -8,12 +8,13 @@ given field. Phases are computed in float64.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.fft
 
+from lensdesign.raytrace.plane_plate import PlanePlate
 from wavesim.engines.slices.samples import SlicedSurface
 from wavesim.engines.slices.windows import Waves, block, transferred
 from wavesim.fields.field import Grid
@@ -37,6 +38,8 @@ class SurfaceTransfer:
         Samples of every surface by slice.
     arriving : BandLimit
         Lateral shifts from the object to the first surface that are transmitted.
+    plate : PlanePlate or None
+        Cover glass of the sensor between the last surface and the exit grid.
     """
 
     object_grid: Grid
@@ -44,6 +47,7 @@ class SurfaceTransfer:
     sides: Sequence[Sides]
     surfaces: Sequence[SlicedSurface]
     arriving: BandLimit
+    plate: PlanePlate | None = None
 
     def forward(self, values: Any) -> Any:
         """Return the field on the exit grid for a field on the object grid."""
@@ -56,14 +60,15 @@ class SurfaceTransfer:
                 leg = self._start_mm[i] - self._end_mm[i - 1]
                 spectrum = _to_next(spectrum, self.sides[i - 1][1], front, leg)
             spectrum = through_surface(front, behind, surface, spectrum)
-        spectrum = propagated(last, spectrum, self.exit_grid.z_mm - self._end_mm[-1])
+        spectrum = propagated(last, spectrum, self.exit_grid.z_mm - self._end_mm[-1], plate=self.plate)
         return last.synthesize(spectrum, self.exit_grid, last.orders)
 
     def adjoint(self, values: Any) -> Any:
         """Apply the exact adjoint to a field on the exit grid."""
         first, last = self.sides[0][0], self.sides[-1][1]
         spectrum = last.analyze(values, self.exit_grid, last.orders)
-        spectrum = propagated(last, spectrum, self._end_mm[-1] - self.exit_grid.z_mm)
+        back = None if self.plate is None else replace(self.plate, thickness_mm=-self.plate.thickness_mm)
+        spectrum = propagated(last, spectrum, self._end_mm[-1] - self.exit_grid.z_mm, plate=back)
         for i in reversed(range(len(self.sides))):
             front, behind = self.sides[i]
             spectrum = through_surface(behind, front, self.surfaces[i], spectrum, adjoint=True)
@@ -145,11 +150,20 @@ def through_surface(
     return np.reshape(total, target.shape)
 
 
-def propagated(waves: Waves, spectrum: Any, distance_mm: float, limit: BandLimit | None = None) -> Any:
-    """Propagate waves over a distance, in place; those beyond the band or the limit become 0."""
+def propagated(
+    waves: Waves,
+    spectrum: Any,
+    distance_mm: float,
+    limit: BandLimit | None = None,
+    plate: PlanePlate | None = None,
+) -> Any:
+    """Propagate waves over a distance, in place; those beyond the band or the limit become 0.
+
+    Distance and thickness of a plate are negative for propagation backwards.
+    """
     plane = np.reshape(spectrum, _plane(waves.shape))
     step = _Steps(waves)
-    step.factor = step_factor(waves, distance_mm, spectrum.dtype, limit)
+    step.factor = step_factor(waves, distance_mm, spectrum.dtype, limit, plate)
     _in_blocks(lambda a, b: step.multiply(plane[a:b], a), plane.shape[0], plane.shape[1])
     return spectrum
 
@@ -268,7 +282,11 @@ class _Steps:
 
 
 def step_factor(
-    waves: Waves, distance_mm: float, dtype: np.dtype[Any], limit: BandLimit | None = None
+    waves: Waves,
+    distance_mm: float,
+    dtype: np.dtype[Any],
+    limit: BandLimit | None = None,
+    plate: PlanePlate | None = None,
 ) -> Any:
     """Return the factor of each wave of orders from 0 on, in the precision of `dtype`.
 
@@ -285,7 +303,7 @@ def step_factor(
     def work(a: int, b: int) -> None:
         cycles = [np.reshape(down[a:b], (-1, 1)), np.reshape(across, (1, -1))]
         plane_waves = PlaneWaves(cycles, medium.wavelength_um, medium.index, medium.smallest_kz_per_mm)
-        factor = plane_waves.transfer_function(distance_mm, dtype=dtype)
+        factor = plane_waves.transfer_function(distance_mm, plate=plate, dtype=dtype)
         if limit is not None:
             y_mm, x_mm = plane_waves.lateral_shift_mm(distance_mm)
             weight = limit.weight(np.sqrt(y_mm**2 + x_mm**2))

@@ -80,7 +80,11 @@ class WorkingGrid:
             scene.object_grid, self.grid.at(start_mm), scene.wavelength_um, self.media[0].index
         )
         out = FreeSpacePropagator(
-            self.grid.at(end_mm), scene.exit_grid, scene.wavelength_um, self.media[-1].index
+            self.grid.at(end_mm),
+            scene.exit_grid,
+            scene.wavelength_um,
+            self.media[-1].index,
+            plate=scene.system.cover_glass,
         )
         return into, out
 
