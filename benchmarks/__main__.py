@@ -32,6 +32,7 @@ SCRIPTS = (
     "rim",
     "chooser",
     "reconstruction",
+    "cover_glass",
     "iterations",
     "phase_retrieval",
     "refocusing",

@@ -155,8 +155,8 @@ def lens_at_temperature(
     """Return the lens at another temperature, in air of that temperature.
 
     The names of its glasses include the temperature, as in ``N-BK7@50C``, so that the lens can be saved and
-    traced. Its wavelengths are those in air of `REFERENCE_C`. Field, pixels and measured figures stay as they
-    are.
+    traced. Its wavelengths are those in air of `REFERENCE_C`. Field, pixels, the cover glass
+    of the sensor and measured figures stay as they are.
 
     Parameters
     ----------
