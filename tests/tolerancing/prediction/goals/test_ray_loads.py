@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lensdesign import CoverGlass
 from lensdesign.optimization.problem import DesignProblem
 from tolerancing import load_study
 from tolerancing.prediction import predict_study
@@ -42,6 +43,11 @@ parameter = "tilt_x_deg"
 limit = 0.02
 """
 WARM = {"[constraints]": "[environment]\ntemperatures_c = [45]\n\n[constraints]"}
+GLASS = CoverGlass(thickness_mm=0.7, material="N-BK7", distance_mm=0.2)
+COVERED = {
+    "[constraints]": "[sensor.cover_glass]\nthickness_mm = 0.7\nmaterial = 'N-BK7'\ndistance_mm = 0.2\n\n"
+    "[constraints]"
+}
 
 
 @pytest.mark.parametrize(
@@ -51,9 +57,10 @@ WARM = {"[constraints]": "[environment]\ntemperatures_c = [45]\n\n[constraints]"
         (RAYS + COMPENSATORS, 0.033, {}),
         (FEW, 0.045, {}),
         (RAYS, 0.045, WARM),
+        (RAYS, 0.045, COVERED),
         (RAYS, 0.045, {"trials = 500": "trials = 500\ncost = 9.0"}),
     ],
-    ids=["rays", "compensators", "one plane, smallest allowed", "warm", "cost"],
+    ids=["rays", "compensators", "one plane, smallest allowed", "warm", "cover glass", "cost"],
 )
 def test_gradients_are_those_of_differences(specified, best_lens, more, limit, changes) -> None:
     asked = specified(more, limit, **changes)
@@ -71,10 +78,13 @@ def test_gradients_are_those_of_differences(specified, best_lens, more, limit, c
         np.testing.assert_allclose(here.rms_by[:, k], rms_by, rtol=1e-3, atol=1e-3 * np.max(np.abs(rms_by)))
 
 
-def test_the_searched_yield_is_near_what_is_shown(specified, best_lens) -> None:
-    asked = specified(RAYS, 0.045)
+@pytest.mark.parametrize("covered", [False, True])
+def test_the_searched_yield_is_near_what_is_shown(specified, best_lens, covered) -> None:
+    asked = specified(RAYS, 0.045, **(COVERED if covered else {}))
     problem = DesignProblem(asked, asked.lens)
     found = problem.as_built(problem.to_unit(best_lens), False)
-    shown = predict_study(best_lens, load_study(asked.tolerances.study).study)
+    glass = GLASS if covered else None
+    best = best_lens.replaced(sensor=best_lens.sensor.replaced(cover_glass=glass))
+    shown = predict_study(best, load_study(asked.tolerances.study).study)
     assert 0.1 < shown.yield_fraction < 0.9
     assert 1.0 - found.failing == pytest.approx(shown.yield_fraction, abs=0.03)
