@@ -8,6 +8,7 @@ from pydantic import Field
 
 from lensdesign.common.frozen_model import FrozenModel, Positive
 from lensdesign.common.number_limits import LARGEST_IN_FILES
+from lensdesign.lens.coatings.coating import SurfaceCoating
 
 Distance = Annotated[float, Field(ge=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False)]
 
@@ -23,6 +24,8 @@ class CoverGlass(FrozenModel):
         Glass by its name, or a constant refractive index; the same values as for a surface.
     distance_mm
         Distance in air from the rear face of the plate to the pixels.
+    coating
+        Coating of both faces, as of a :class:`lensdesign.Surface`.
 
     Examples
     --------
@@ -35,6 +38,7 @@ class CoverGlass(FrozenModel):
     thickness_mm: Positive
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)]
     distance_mm: Distance
+    coating: SurfaceCoating = "ideal"
 
     @property
     def depth_mm(self) -> float:

@@ -71,6 +71,8 @@ class Sensor(FrozenModel):
         Distances of the recording planes H1, H2, ... from the exit vertex to the pixels, increasing.
     cover_glass
         Plane plate in front of the pixels, which moves with the sensor (default: none).
+    reflectance
+        Fraction of the power that the sensor reflects, from 0 to 1 (default: unknown). It causes ghosts.
 
     Examples
     --------
@@ -85,6 +87,7 @@ class Sensor(FrozenModel):
     pixels: tuple[Annotated[int, Field(gt=0, le=1_000_000)], Annotated[int, Field(gt=0, le=1_000_000)]]
     plane_distances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
     cover_glass: CoverGlass | None = None
+    reflectance: Annotated[float, Field(ge=0.0, lt=1.0, allow_inf_nan=False)] | None = None
 
     @field_validator("plane_distances_mm")
     @classmethod
@@ -95,10 +98,11 @@ class Sensor(FrozenModel):
 
     @model_serializer(mode="wrap")
     def _serialized(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit a missing cover glass, so that saved runs of designs without one keep their keys."""
+        """Omit missing values, so that saved runs of designs without them keep their keys."""
         values: dict[str, Any] = handler(self)
-        if self.cover_glass is None:
-            values.pop("cover_glass", None)
+        for name in ("cover_glass", "reflectance"):
+            if getattr(self, name) is None:
+                values.pop(name, None)
         return values
 
     @model_validator(mode="after")

@@ -58,6 +58,29 @@ class IdealCoating(CompiledCoating):
         return self
 
 
+@dataclass(frozen=True)
+class UniformCoating(CompiledCoating):
+    """A surface that reflects the same fraction of the light at all angles, and transmits the rest.
+
+    Attributes
+    ----------
+    reflectance : float
+        Reflected fraction of the power, from 0 to 1.
+    """
+
+    reflectance: float
+
+    def coefficients(self, n_front: ArrayLike, n_behind: ArrayLike, cos_incidence: ArrayLike) -> Coefficients:
+        shape = np.broadcast_shapes(*(np.shape(a) for a in (n_front, n_behind, cos_incidence)))
+        passed, returned = (
+            np.full(shape, np.sqrt(part), complex) for part in (1.0 - self.reflectance, self.reflectance)
+        )
+        return Coefficients(passed, passed, returned, returned)
+
+    def turned(self) -> UniformCoating:
+        return self
+
+
 @dataclass(frozen=True, eq=False)
 class FilmCoating(CompiledCoating):
     """A stack of films; a bare surface has none.
