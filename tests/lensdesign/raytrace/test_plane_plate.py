@@ -12,7 +12,14 @@ from lensdesign.analysis.arrival_angles import arrival_angles
 from lensdesign.analysis.exit_beam import footprint, rms_spot_diameter
 from lensdesign.analysis.extreme_rays import with_extreme_rays
 from lensdesign.lens.glass import refractive_index
-from lensdesign.raytrace import PlanePlate, at_wavelengths, compile_system, gradient_traces, pupil_rings
+from lensdesign.raytrace import (
+    PlanePlate,
+    at_wavelengths,
+    compile_system,
+    gradient_traces,
+    pupil_rings,
+    ray_paths,
+)
 from lensdesign.raytrace.gradients import Variable
 
 WAVELENGTHS = (0.532, 0.65)
@@ -161,3 +168,11 @@ def test_the_index_is_that_of_the_wavelength(paper_lens: Lens) -> None:
         plate = compile_system(covered(paper_lens), wavelength).cover_glass
         assert plate is not None
         assert plate.index.tolist() == [refractive_index("N-BK7", wavelength)]
+
+
+def test_drawn_rays_have_corners_on_both_faces(paper_lens: Lens) -> None:
+    lens = covered(paper_lens)
+    fan = [(0.0, -0.9), (0.0, 0.0), (0.0, 1.3)]  # the last one fails
+    found, expected = ray_paths(lens, (0.0, 1.5), fan), ray_paths(as_surfaces(lens, 1), (0.0, 1.5), fan)
+    np.testing.assert_allclose(found[:2], expected[:2], rtol=0.0, atol=1e-11)
+    assert np.all(found[2, 2:] == found[2, 2])
