@@ -246,7 +246,7 @@ class _Light:
         return float(-ray.position[0, 1] / slope) if slope else float("inf")
 
 
-def field_rays(lens: Lens, fields: int = 3, rings: int = 12) -> tuple[Array, Array]:
+def field_rays(lens: Lens, fields: int = 3, rings: int = 24) -> tuple[Array, Array]:
     """Return rays of object points along x and y, evenly over the direction cosines of the aperture.
 
     Parameters

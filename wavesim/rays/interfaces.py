@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.lens.coatings.thin_films import Coefficients
 from lensdesign.raytrace.bundles import launch_compiled
 from lensdesign.raytrace.compiled import CompiledSystem
 from lensdesign.raytrace.polarization import surface_coefficients
@@ -184,18 +183,20 @@ def transmission(scene: Scene, surface: int, incidence: Array, refraction: Array
 def coating_coefficient(scene: Scene, surface: int, incidence: Array) -> NDArray[np.inexact]:
     """Return the transmission of scalar waves by a surface's coating, normalized to flux.
 
-    It is real if the coating changes no phase.
+    On a ghost's path it is the reflection of the surfaces that reflect. It is real if the coating changes no
+    phase.
     """
     if scene.system.coatings[surface].is_ideal:
         return np.ones(np.shape(incidence))
-    found, _ = surface_coefficients(scene.system, surface, incidence)
-    value = found.ts if scene.object_grid.is_line else scalar_coefficient(found)
+    found, is_reflected = surface_coefficients(scene.system, surface, incidence)
+    s, p = (found.rs, found.rp) if is_reflected else (found.ts, found.tp)
+    value = s if scene.object_grid.is_line else scalar_coefficient(s, p)
     return value if np.any(value.imag) else value.real
 
 
-def scalar_coefficient(found: Coefficients) -> ComplexArray:
+def scalar_coefficient(s: ComplexArray, p: ComplexArray) -> ComplexArray:
     """Return the coefficient with the mean flux of both polarizations, and the phase of their sum."""
-    total = found.ts + found.tp
+    total = s + p
     size = np.abs(total)
-    mean = np.sqrt(0.5 * (np.abs(found.ts) ** 2 + np.abs(found.tp) ** 2))
+    mean = np.sqrt(0.5 * (np.abs(s) ** 2 + np.abs(p) ** 2))
     return np.asarray(mean * np.where(size > 0.0, total / np.where(size > 0.0, size, 1.0), 1.0))

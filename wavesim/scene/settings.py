@@ -419,6 +419,12 @@ class ObjectSettings(Settings):
         description="Ghost of the lens: product of the reflectances of both outer surfaces.",
         json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
     )
+    ghosts: Literal["none", "coherent", "incoherent"] = Field(
+        "none",
+        description="All ghosts by the coatings: between lens surfaces with their fringes (coherent) or as "
+        "smooth light (incoherent); those of cover glass and sensor as smooth light.",
+        json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
+    )
     picture_pixel_um: Size | None = Field(
         None, description="Side of a picture's pixel on the object; default: fitted to the field stop."
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from lensdesign.analysis.ghost_paths import with_coating
 from lensdesign.analysis.roughness import RoughnessReport, RoughnessWarning
+from lensdesign.common.arrays import Array
 from lensdesign.common.given import FilePath, object_of
 from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import validate
@@ -29,6 +31,7 @@ from wavesim.scene.settings import ImageSettings, SettingError
 from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frames import Frame
+from wavesim.sensor.ghost_light import ghost_light
 from wavesim.sensor.pixels.non_uniformity import PixelErrors
 from wavesim.sensor.recording import (
     PARTS,
@@ -216,7 +219,7 @@ def image(
             engine = imaging_engine(
                 scene, settings, runs=1, memory_gb=1e-9 * limit, light=Light(behind_object).on(scene)
             )
-            return hand_over_tiles(WithGhost(engine, settings.ghost) if settings.ghost else engine)
+            return hand_over_tiles(_with_ghosts(engine, settings))
 
         engine = make(settings.lights(recorded_scene(lens, patch, windows[0], recording)))
         memory = Memory(imaging_bytes(engine, sensor, windows, recording), limit)
@@ -237,6 +240,7 @@ def image(
                 progress,
                 folder=folder,
                 scratch=scratch,
+                ghosts=_smooth_ghosts(lens, behind_object, sensor, planes, settings),
             )
         except KeyboardInterrupt:
             saved = folder is not None and (folder / PARTS).exists()
@@ -256,6 +260,31 @@ def image(
         predicted_error=predicted_error,
         scattered=scattered,
     )
+
+
+def _with_ghosts(engine: Engine, settings: ImageSettings) -> Engine:
+    """Return the engine with the coherent ghosts that the settings ask for."""
+    if settings.ghost and settings.ghosts != "none":
+        raise SettingError("{ghost}, {ghosts}: both given; state a reflectance, or use the coatings")
+    if settings.ghosts == "coherent":
+        return WithGhost(engine)
+    return WithGhost(engine, settings.ghost) if settings.ghost else engine
+
+
+def _smooth_ghosts(
+    lens: Lens, behind_object: Field, sensor: Sensor, planes: Sequence[float], settings: ImageSettings
+) -> list[Array]:
+    """Return the smooth light of ghosts on every plane; none unless the settings ask for ghosts.
+
+    With coherent ghosts it is that of paths via the cover glass or the sensor.
+    """
+    if settings.ghosts == "none":
+        return []
+    coated = lens if settings.coating is None else with_coating(lens, settings.coating)
+    is_coherent = settings.ghosts == "coherent"
+    return [
+        ghost_light(coated, behind_object, sensor, plane, only_beyond_lens=is_coherent) for plane in planes
+    ]
 
 
 def _patch_and_light(lens: Lens, object_: str | Field, settings: ImageSettings) -> tuple[Patch, Field]:

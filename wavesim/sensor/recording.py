@@ -108,6 +108,7 @@ def image_patch(
     *,
     folder: Path | None = None,
     scratch: Scratch | None = None,
+    ghosts: Sequence[Array] = (),
 ) -> tuple[tuple[Frame, ...], float]:
     """Propagate the light behind the object to the sensor, and record frames on every plane.
 
@@ -134,6 +135,9 @@ def image_patch(
         The same call continues an interrupted run. Default: the results stay in memory.
     scratch
         Storage of large arrays; default: memory.
+    ghosts
+        Smooth light of ghosts on the pixels of each plane, as fractions of the direct light
+        (:func:`wavesim.sensor.ghost_light.ghost_light`); default: none.
 
     Returns
     -------
@@ -191,6 +195,8 @@ def image_patch(
     for index, (seed, (direct, beyond)) in enumerate(zip(seeds, light, strict=True)):
         fraction_beyond = beyond if index == 0 else fraction_beyond
         intensity = with_scattered_light(direct, sensor.pixel_pitch_um, halos_on_plane(scatter, index))
+        if ghosts:
+            intensity = intensity + (float(direct.sum()) * ghosts[index]).astype(direct.dtype)
         frames += frames_of_light(
             _with_background(intensity, recording.state.background_on(index, intensity.shape)),
             sensor,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,7 +39,7 @@ def test_light_of_a_point() -> None:
     values = np.zeros(33, complex)
     values[16] = 1.0
     point = Field(SCENE.object_grid, values, 0.532)
-    straight, ghost = (e.forward(point).values for e in (ENGINE.straight, ENGINE.ghost))
+    straight, ghost = (e.forward(point).values for e in (ENGINE.straight, *ENGINE.ghosts))
     whole = ENGINE.forward(point).values
     assert whole == pytest.approx(straight + np.sqrt(0.0018) * ghost, abs=1e-12)
     direct, twice, detour_mm = matrices()
@@ -55,7 +57,7 @@ def test_steep_light_is_left_out() -> None:
     """Only where its angle keeps to half the grid's band: there the matrices say where that ends."""
     values = np.zeros(33, complex)
     values[16] = 1.0
-    ghost = np.abs(ENGINE.ghost.forward(Field(SCENE.object_grid, values, 0.532)).values)
+    ghost = np.abs(ENGINE.ghosts[0].forward(Field(SCENE.object_grid, values, 0.532)).values)
     lit = SCENE.exit_grid.y_mm[ghost > 0.5 * ghost[320]]
     _, twice, _ = matrices()
     ends = 0.532 / (4.0 * 1.6) * abs(twice[0, 1] / twice[1, 1])
@@ -70,6 +72,36 @@ def test_back_is_the_conjugate_transpose() -> None:
     assert there == pytest.approx(back, rel=1e-10)
     assert ENGINE.key() != WithGhost(ENGINE.straight, 0.001).key()
     assert ENGINE.cost().peak_bytes > ENGINE.straight.cost().peak_bytes
+
+
+@pytest.mark.parametrize("coating", ["bare", "mgf2"])
+def test_coatings_give_the_amplitude_of_every_ghost(coating: str) -> None:
+    """On the axis both surfaces reflect and transmit as at normal incidence."""
+    scene = replace(SCENE, coating=coating)
+    point = np.zeros(33, complex)
+    point[16] = 1.0
+    whole = WithGhost(FlatTiles(scene))
+    (ghost,) = whole.ghosts
+    light = Field(scene.object_grid, point, 0.532)
+    found, full = (engine.forward(light).values[320] for engine in (ghost, ENGINE.ghosts[0]))
+    direct, ideal = (FlatTiles(s).forward(light).values[320] for s in (scene, SCENE))
+    n = float(LENS.indices(0.532)[1])
+    first, second = scene.system.coatings
+    into, out = first.coefficients(1.0, n, 1.0), second.coefficients(n, 1.0, 1.0)
+    inside = first.turned().coefficients(n, 1.0, 1.0)
+    assert found / full == pytest.approx(complex(into.ts * out.rs * inside.rs * out.ts), rel=2e-3)
+    assert direct / ideal == pytest.approx(complex(into.ts * out.ts), rel=1e-3)
+    with pytest.raises(InputError, match="ideal coatings reflect no light"):
+        WithGhost(FlatTiles(SCENE)).forward(light)
+
+
+def test_the_adjoint_of_coated_ghosts() -> None:
+    random = np.random.default_rng(2)
+    engine = WithGhost(FlatTiles(replace(SCENE, coating="mgf2")))
+    a, b = (random.normal(size=(n, 2)) @ [1.0, 1j] for n in (33, 641))
+    left = np.vdot(b, engine.forward(Field(SCENE.object_grid, a, 0.532)).values) * SCENE.exit_grid.cell
+    right = np.vdot(engine.adjoint(Field(SCENE.exit_grid, b, 0.532)).values, a) * SCENE.object_grid.cell
+    assert left == pytest.approx(right, rel=1e-10)
 
 
 def test_shares_that_are_none() -> None:

@@ -189,7 +189,7 @@ def test_a_ghost_is_found_in_what_frames_with_one_record(nominal: Imaged) -> Non
     transmission = ghosted.target.transmission
     light = lit(ghosted.patch, ghosted.settings)
     behind = light.with_values(light.values * transmission.values)
-    direct, ghost = engine.straight.forward(behind), engine.ghost.forward(behind)
+    direct, ghost = engine.straight.forward(behind), engine.ghosts[0].forward(behind)
     window = light_window(LENS, ghosted.patch, ghosted.sensor, LENS.sensor.plane_distances_mm[0])
     model, with_it = (light_on_pixels(field, window) for field in (direct, engine.forward(behind)))
     amplitude = np.sqrt(model)
