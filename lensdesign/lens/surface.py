@@ -9,7 +9,14 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.lens.coatings.coating import SurfaceCoating
@@ -82,6 +89,16 @@ class Surface(FrozenModel):
     figure: SurfaceFigureSource | None = None
     coating: SurfaceCoating = "ideal"
     roughness: SurfaceRoughness | None = None
+
+    @model_serializer(mode="wrap")
+    def _serialized(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit an ideal coating and a missing roughness, so that saved runs without them keep their keys."""
+        values: dict[str, Any] = handler(self)
+        if self.coating == "ideal":
+            values.pop("coating", None)
+        if self.roughness is None:
+            values.pop("roughness", None)
+        return values
 
     @field_validator("shape_type")
     @classmethod

@@ -249,7 +249,7 @@ class Engine(ABC):
         """Return a digest of engine, scene and settings. Equal operators have equal keys in all processes."""
         with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # arrays in full, to the last digit
             name = self.key_name or self.name
-            text = f"{name} {self.scene.lens.model_dump_json()} {self.scene!r} {self.settings()!r}"
+            text = f"{name} {self.scene.lens.model_dump_json()} {self.scene.key_text()} {self.settings()!r}"
         return sha256(text.encode()).hexdigest()
 
     def edge_illumination(self, light: Light) -> float:

@@ -15,7 +15,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.fields.field import Field, Grid
-from wavesim.scene.polarization import AUTO, validate_polarization
+from wavesim.scene.polarization import AUTO, is_vector, validate_polarization
 from wavesim.scene.system_state import SystemState
 
 
@@ -103,6 +103,18 @@ class Scene:
         if self.coating is not None:
             lens = lens.replaced(surfaces=tuple(s.replaced(coating=self.coating) for s in lens.surfaces))
         return compile_system(lens, self.wavelength_um, self.pose, self.surface_perturbations)
+
+    def key_text(self) -> str:
+        """Return a text that is equal for equal scenes.
+
+        Scalar waves through the coatings of the design have the text of scenes before there were others, so
+        that earlier results stay usable.
+        """
+        if self.coating is None and not is_vector(self.polarization):
+            return repr(self).replace(
+                f", coating=None, polarization={self.polarization!r}", ", coating='ideal'"
+            )
+        return repr(self)
 
     @property
     def has_ideal_coatings(self) -> bool:

@@ -13,7 +13,7 @@ from wavesim.scene.source import POINT, Source, SourceMode
 
 
 def test_a_point_is_one_direction() -> None:
-    assert POINT.modes(0.5) == [(1.0, (0.0, 0.0), 0.5)]
+    assert POINT.modes(0.5) == [SourceMode(1.0, (0.0, 0.0), 0.5)]
 
 
 @pytest.mark.parametrize("distance", [0.5, 1.5, 3.0])
