@@ -1,4 +1,4 @@
-from .coatings.coating import Coating, CoatingLayer, SurfaceCoating
+from .coatings.coating import Coating, CoatingLayer
 from .coatings.film_materials import film_index
 from .coatings.thin_films import Coefficients, film_coefficients
 from .cover_glass import CoverGlass
@@ -31,7 +31,6 @@ __all__ = [
     "Pose",
     "Sensor",
     "Surface",
-    "SurfaceCoating",
     "SurfaceFigure",
     "SurfaceFigureSource",
     "SurfaceMeridian",

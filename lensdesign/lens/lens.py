@@ -19,6 +19,7 @@ from pydantic import (
 from lensdesign.common.frozen_model import FrozenModel, Positive, as_path
 from lensdesign.common.notebook import html_table
 from lensdesign.errors import DesignError, InputError
+from lensdesign.lens.coatings.coating import Coating, SurfaceCoating
 from lensdesign.lens.cover_glass import CoverGlass
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import is_air, refractive_index
@@ -406,6 +407,10 @@ class Lens(FrozenModel):
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
         return self.replaced(surfaces=surfaces)
 
+    def with_coating(self, coating: SurfaceCoating) -> Self:
+        """Return the lens with one coating on all surfaces; see :class:`Surface` for coatings."""
+        return self.replaced(surfaces=tuple(surface.replaced(coating=coating) for surface in self.surfaces))
+
     def __repr__(self) -> str:
         media = ", ".join(str(s.material) for s in self.surfaces if s.material is not None)
         return (
@@ -437,9 +442,13 @@ class Lens(FrozenModel):
 
 def _summary(surface: Surface) -> str:
     """Return a surface on one line: the values that differ from their defaults."""
-    given = surface.model_dump(exclude_defaults=True, exclude_none=True, exclude={"figure"})
+    given = surface.model_dump(exclude_defaults=True, exclude_none=True, exclude={"figure", "coating"})
     values = [
         key if value is True else f"{key} = {value:.7g}" if isinstance(value, float) else f"{key} = {value}"
         for key, value in given.items()
     ]
+    if isinstance(surface.coating, Coating):
+        values.append(f"coating = {surface.coating.text}")
+    elif surface.coating != "ideal":
+        values.append(f"coating = {surface.coating}")
     return ", ".join(values + (["with a measured figure"] if surface.figure is not None else [])) or "plane"

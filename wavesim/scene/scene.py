@@ -101,7 +101,7 @@ class Scene:
         """The displaced and perturbed lens as arrays, ready for tracing."""
         lens = self.lens
         if self.coating is not None:
-            lens = lens.replaced(surfaces=tuple(s.replaced(coating=self.coating) for s in lens.surfaces))
+            lens = lens.with_coating(self.coating)
         return compile_system(lens, self.wavelength_um, self.pose, self.surface_perturbations)
 
     def key_text(self) -> str:

@@ -34,8 +34,8 @@ class CoatingLayer(FrozenModel):
     Examples
     --------
     >>> from lensdesign import CoatingLayer
-    >>> CoatingLayer(material="MgF2", quarter_waves=1.0).thickness_um(0.55)
-    0.09938...
+    >>> round(CoatingLayer(material="MgF2", quarter_waves=1.0).thickness_um(0.55), 4)
+    0.0994
     """
 
     material: str | None = None
@@ -123,6 +123,22 @@ class Coating(FrozenModel):
             )
         return self
 
+    @property
+    def text(self) -> str:
+        """The coating in a few words, such as `MgF2, quarter wave at 550 nm`."""
+        if self.file is not None:
+            return f"table {self.file.name}"
+        wavelength = self.design_wavelength_um
+        at = "" if wavelength is None else f"{1e3 * wavelength:.6g} nm"
+        if len(self.layers) > 1:
+            return f"{len(self.layers)} layers" + (at and f", {at}")
+        (layer,) = self.layers
+        film = layer.material or f"n = {layer.index:g}"
+        if layer.thickness_nm is not None:
+            return f"{film}, {layer.thickness_nm:g} nm"
+        count = layer.quarter_waves
+        return f"{film}, {'quarter wave' if count == 1.0 else f'{count:g} quarter waves'} at {at}"
+
 
 def _kind(value: Any) -> str:
     return "branch-table" if isinstance(value, dict | Coating) else "branch-name"
@@ -139,3 +155,18 @@ def quarter_wave_mgf2(design_wavelength_um: float) -> Coating:
     """Return the coating ``mgf2``: a quarter wave of magnesium fluoride at a wavelength."""
     layer = CoatingLayer(material="MgF2", quarter_waves=1.0)
     return Coating(layers=(layer,), design_wavelength_um=design_wavelength_um)
+
+
+def coating_text(coating: SurfaceCoating, design_wavelength_um: float) -> str:
+    """Return a surface's coating in a few words: its name, material and thickness, or number of layers.
+
+    Parameters
+    ----------
+    coating
+        Coating of the surface.
+    design_wavelength_um
+        First wavelength of the design, at which ``mgf2`` is a quarter wave.
+    """
+    if coating == "mgf2":
+        return quarter_wave_mgf2(design_wavelength_um).text
+    return coating if isinstance(coating, str) else coating.text

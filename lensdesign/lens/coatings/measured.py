@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
@@ -52,6 +51,8 @@ class CoatingTable:
         InputError
             If the wavelength or an angle is outside the table.
         """
+        from scipy.interpolate import CubicSpline
+
         known = self.wavelengths_um
         if not known[0] <= wavelength_um <= known[-1]:
             raise InputError(
