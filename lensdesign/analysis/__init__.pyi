@@ -1,4 +1,5 @@
 from .check import check_design
+from .coatings import CoatingReport, coating_report
 from .exit_beam import footprint, largest_spread_angle, observation_distance_mm, rms_spot_diameter
 from .form_error import form_errors, pv_rms_waves
 from .ghosts import GhostReport, ghost_report
@@ -11,12 +12,14 @@ from .space_bandwidth import match, spread_limit_sine
 
 __all__ = [
     "CheckReport",
+    "CoatingReport",
     "GhostReport",
     "MouldingCheck",
     "RoughnessReport",
     "SagTable",
     "cardinal_points",
     "check_design",
+    "coating_report",
     "first_order",
     "footprint",
     "form_errors",

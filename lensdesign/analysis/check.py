@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lensdesign.analysis.coatings import coating_report
 from lensdesign.analysis.exit_beam import (
     Footprint,
     SpreadAngle,
@@ -133,6 +134,7 @@ def check_design(lens: Lens | FilePath, *, refined: bool = True) -> CheckReport:
         figures=form_errors(lens),
         moulding=moulding_checks(lens),
         roughness=roughness_report(lens),
+        coatings=tuple(coating_report(lens, wavelength) for wavelength in lens.wavelengths_um),
     )
 
 

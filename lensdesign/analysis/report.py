@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from lensdesign.analysis.coatings import CoatingReport
 from lensdesign.analysis.form_error import FormError
 from lensdesign.analysis.moulding import MouldingCheck
 from lensdesign.analysis.outline import DrawnEdge
@@ -140,6 +141,8 @@ class CheckReport:
         Checks of moulded elements, which `feasible` and `violations` do not include; empty without one.
     roughness
         Light that rough surfaces scatter, at the shortest wavelength; None without a rough surface.
+    coatings
+        Effects of the coatings on the light, at each wavelength.
 
     Examples
     --------
@@ -183,6 +186,12 @@ class CheckReport:
     figures: tuple[FormError, ...]
     moulding: tuple[MouldingCheck, ...] = ()
     roughness: RoughnessReport | None = None
+    coatings: tuple[CoatingReport, ...] = ()
+
+    @property
+    def darkest(self) -> CoatingReport | None:
+        """Effects of the coatings at the wavelength of which the centre of the field transmits least."""
+        return min(self.coatings, key=lambda report: report.centre.transmittance, default=None)
 
     @property
     def mouldable(self) -> bool:
@@ -209,6 +218,8 @@ class CheckReport:
         rows += [(f"element {c.element}: {c.name}", c.result_text) for c in self.moulding]
         if self.roughness is not None:
             rows.append(("scattered light", f"{100.0 * self.roughness.mean_fraction:.3g} %"))
+        if (darkest := self.darkest) is not None and not darkest.is_ideal:
+            rows.append(("transmittance on the axis", f"{100.0 * darkest.centre.transmittance:.2f} %"))
         rows += [
             ("resolution", f"{self.resolution_um:.4g} µm"),
             ("effective, back focal length", f"{self.efl_mm:.4f}, {self.bfl_mm:.4f} mm"),

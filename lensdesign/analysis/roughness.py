@@ -324,7 +324,7 @@ def roughness_report(
         return None
     wavelength = min(lens.wavelengths_um) if wavelength_um is None else wavelength_um
     system = compile_system(lens, wavelength, pose, surface_perturbations)
-    points = tuple(_edge_and_centre(lens, system) if field_points_mm is None else field_points_mm)
+    points = tuple(field_centre_and_edge(lens, system) if field_points_mm is None else field_points_mm)
     planes = tuple(lens.sensor.plane_distances_mm if plane_distances_mm is None else plane_distances_mm)
     stop = pupil_rings(edge=True)
     origins, directions = launch_compiled(
@@ -384,7 +384,7 @@ def roughness_report(
     )
 
 
-def _edge_and_centre(lens: Lens, system: CompiledSystem) -> list[tuple[float, float]]:
+def field_centre_and_edge(lens: Lens, system: CompiledSystem) -> list[tuple[float, float]]:
     """Return the centre of the field and points on its edge: one, or eight without rotational symmetry."""
     angles = 2.0 * np.pi * np.arange(1 if system.rotational else 8) / 8
     edge = lens.half_field_mm * np.stack([np.sin(angles), np.cos(angles)], axis=-1)

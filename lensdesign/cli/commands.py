@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
+    from lensdesign.analysis.coatings import CoatingReport
     from lensdesign.analysis.moulding import MouldingCheck
     from lensdesign.analysis.report import CheckReport
     from lensdesign.analysis.roughness import RoughnessReport
@@ -76,6 +77,14 @@ class PictureFormat(StrEnum):
     SVG = "svg"
 
 
+class CoatingOfAll(StrEnum):
+    """Coatings with a name, see :data:`lensdesign.lens.coatings.coating.CoatingName`."""
+
+    IDEAL = "ideal"
+    BARE = "bare"
+    MGF2 = "mgf2"
+
+
 def main() -> None:
     """Entry point of the console script."""
     run_app(app)
@@ -98,6 +107,12 @@ def check(
             "--moulding/--no-moulding", help="Check moulded elements.", rich_help_panel=OptionGroup.INPUT
         ),
     ] = True,
+    coating: Annotated[
+        CoatingOfAll | None,
+        typer.Option(
+            help="Coating of all surfaces; default: the design's.", rich_help_panel=OptionGroup.LENS
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Check matching, spread, footprint and edges, or a specification's constraints.
@@ -111,6 +126,10 @@ def check(
     draft, gate, thicknesses, slopes and sags. A check without a stated value or a limit stays open. The
     limits that the design states are binding; published ones are guidelines.
 
+    The check prints the transmittance of the coatings, for unpolarized light, and how they change its
+    amplitude and polarization over the stop: largest diattenuation and retardance of a ray, and root mean
+    square amplitude of the crossed polarization.
+
     Surfaces with a roughness scatter light. The check prints its fraction, its angles and its halo.
 
     Example: lensdesign check lens.toml
@@ -120,6 +139,8 @@ def check(
     from lensdesign.files.design import load_design
 
     lens = load_design(design)
+    if coating is not None:
+        lens = lens.with_coating(coating.value)
     if against is None:
         from lensdesign.analysis.check import check_design
 
@@ -335,8 +356,12 @@ def _print_check(report: CheckReport) -> None:
         rows.append((label, f"{edge.drawn_thickness_mm:.3f} mm"))
     for row in rows:
         figures.add_row(*row)
-    more = [_moulding_table(report)] if report.moulding else []
-    print_tables(constraints, *more, figures, *([_scatter_table(r)] if (r := report.roughness) else []))
+    tables = [constraints, *([_moulding_table(report)] if report.moulding else []), figures]
+    if (light := report.darkest) is not None and not light.is_ideal:
+        tables += [_coating_table(light), _light_table(light)]
+    if report.roughness is not None:
+        tables.append(_scatter_table(report.roughness))
+    print_tables(*tables)
     for source, number in _moulding_sources(report).items():
         typer.echo(f"source {number}: {source}")
     for element, key in dict.fromkeys((m.element, m.limit_key) for m in report.moulding if m.limit is None):
@@ -347,6 +372,11 @@ def _print_check(report: CheckReport) -> None:
         typer.echo(
             f"not drawable with general tolerances: {edge.element}: bevels and thickness tolerance take "
             f"{edge.needed_mm:.4g} mm of its edge"
+        )
+    if light is not None and light.is_ideal:
+        typer.echo(
+            "ideal coatings: all light is transmitted; uncoated surfaces would transmit "
+            f"{100.0 * light.centre.uncoated_transmittance:.1f} % (--coating bare)"
         )
     for f in report.figures:
         typer.echo(
@@ -368,6 +398,46 @@ def _print_check(report: CheckReport) -> None:
     for m in report.moulding:
         if m.met is False:
             say("beyond a guideline:" if m.is_guideline else "not met:", m.miss)
+
+
+def _percent(fraction: float) -> str:
+    return f"{100.0 * fraction:.2f} %"
+
+
+def _coating_table(report: CoatingReport) -> Table:
+    found = table(
+        f"Coatings at {report.wavelength_um:g} µm", "surface", "coating", "transmits", "at the largest angle"
+    )
+    for one in report.surfaces:
+        found.add_row(
+            str(one.surface),
+            visible(one.coating),
+            _percent(one.transmittance),
+            f"{_percent(one.transmittance_at_largest)} at {one.largest_incidence_deg:.1f}°",
+        )
+    return found
+
+
+def _light_table(report: CoatingReport) -> Table:
+    found = table(
+        f"Light behind the lens at {report.wavelength_um:g} µm",
+        "field",
+        "transmittance",
+        "apodization",
+        "diattenuation",
+        "retardance",
+        "crossed",
+    )
+    for name, point in (("centre", report.centre), ("edge", report.edge)):
+        found.add_row(
+            name,
+            _percent(point.transmittance),
+            f"{_percent(point.apodization_rms)} rms",
+            _percent(point.largest_diattenuation),
+            f"{point.largest_retardance_deg:.2f}°",
+            f"{_percent(point.crossed_rms)} rms",
+        )
+    return found
 
 
 def _scatter_table(report: RoughnessReport) -> Table:
