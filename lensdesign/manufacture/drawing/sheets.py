@@ -32,7 +32,7 @@ from lensdesign.manufacture.drawing.primitives import (
     line,
 )
 from lensdesign.manufacture.drawing.section_view import section_view
-from lensdesign.manufacture.drawing.table import Material, data_table, material_of
+from lensdesign.manufacture.drawing.table import Material, coatings_of, data_table, material_of
 from lensdesign.manufacture.drawing.tolerances import (
     DrawingTolerances,
     FormUnit,
@@ -183,11 +183,8 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
         name = "Left surface (L)" if i == element.surfaces[0] else "Right surface (R)"
         panel = Area(left, upper.bottom + 2.0, left + panel_mm, upper.top - 2.0)
         items += asphere_panel(lens, i, name, panel, sides[i])
-    media = lens.indices(lens.wavelengths_um[0])
-    first, last = element.surfaces
-    cemented = bool(media[first] != 1.0), bool(media[last + 1] != 1.0)
     table = Area(FRAME.left, TITLE_TOP, FRAME.right, TABLE_TOP)
-    items += data_table(element, cemented, material, tolerances, table)
+    items += data_table(element, coatings_of(lens, element), material, tolerances, table)
     mass = _mass_text(element, material.density_g_per_cm3)
     rows = _title_rows(options, lens, element, material, mass, view.scale_text, sheets)
     items += _title_block(rows, _notes(tolerances), options.remark)

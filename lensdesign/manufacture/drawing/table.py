@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from lensdesign.lens.coatings.coating import Coating, coating_text
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element
 from lensdesign.lens.surface import Surface
@@ -64,9 +65,28 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
     )
 
 
+def coatings_of(lens: Lens, element: Element) -> tuple[str, str]:
+    """Return the coatings of an element's left and right surface in the design; empty for ideal ones.
+
+    The films between two cemented elements belong to the right surface of the first one.
+    """
+    media = lens.indices(lens.wavelengths_um[0])
+    first, last = element.surfaces
+    texts = []
+    for index, is_cemented in ((first, media[first] != 1.0), (last, media[last + 1] != 1.0)):
+        coating = lens.surfaces[index].coating
+        if coating in ("ideal", "bare") or (is_cemented and index == first):
+            text = "uncoated" if coating == "bare" and not is_cemented else ""
+        else:
+            text = coating_text(coating, lens.wavelengths_um[0])
+            text = f"as {text}" if isinstance(coating, Coating) and coating.file is not None else text
+        texts.append(", ".join(word for word in ("cemented" if is_cemented else "", text) if word))
+    return texts[0], texts[1]
+
+
 def data_table(
     element: Element,
-    cemented: tuple[bool, bool],
+    coatings: tuple[str, str],
     material: Material,
     tolerances: DrawingTolerances,
     area: Area,
@@ -77,8 +97,8 @@ def data_table(
     ----------
     element
         Element with its left and right surface and their bevels.
-    cemented
-        Whether the left and the right surface are cemented to another element.
+    coatings
+        Coatings of the left and the right surface, for sheets whose tolerances state none.
     material
         Contents of the middle column.
     tolerances
@@ -88,8 +108,8 @@ def data_table(
     """
     (_, front_bevel), (_, back_bevel) = element.edge.sides()
     left, right = tolerances.left, tolerances.right
-    left_rows = _surface_rows(element.front.surface, left, tolerances, 1.0, cemented[0], front_bevel)
-    right_rows = _surface_rows(element.back.surface, right, tolerances, -1.0, cemented[1], back_bevel)
+    left_rows = _surface_rows(element.front.surface, left, tolerances, 1.0, coatings[0], front_bevel)
+    right_rows = _surface_rows(element.back.surface, right, tolerances, -1.0, coatings[1], back_bevel)
     material_rows = material.rows
     if element.front.surface.roughness is not None or element.back.surface.roughness is not None:
         left_rows = (*left_rows, _texture(element.front.surface))
@@ -134,7 +154,7 @@ def _surface_rows(
     tolerances: SurfaceTolerances,
     sheet: DrawingTolerances,
     outward: float,
-    cemented: bool,
+    coating: str,
     bevel_mm: float,
 ) -> tuple[str, ...]:
     semi = surface.semi_diameter_mm
@@ -142,7 +162,7 @@ def _surface_rows(
         _radius(surface, tolerances, outward, sheet.fringe_wavelength_um),
         clear_text(semi) if semi is not None else f"Øₑ {OPEN}",
         f"Prot. chamfer {_chamfer(bevel_mm, tolerances)}",
-        tolerances.coating or ("cemented" if cemented else OPEN),
+        tolerances.coating or coating or OPEN,
         _form(tolerances, sheet),
         _centring(tolerances),
         f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}{tolerances.mark('imperfections')}",

@@ -133,7 +133,7 @@ class SurfaceTolerances(MarkedTolerances):
     chamfer_mm
         Smallest and largest width of the protective chamfer in mm.
     coating
-        Text beside the symbol of the coating.
+        Text beside the symbol of the coating; default: the coating of the design.
     """
 
     radius_mm: Positive | None = None

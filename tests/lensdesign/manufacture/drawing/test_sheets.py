@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from random_lenses import lenses, numbers, signed
 
+from lensdesign import Coating, CoatingLayer
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import closed_elements
@@ -44,6 +45,14 @@ from lensdesign.manufacture.drawing.tolerances import (
 
 SVG = "{http://www.w3.org/2000/svg}"
 LONG = "A spatial information transfer lens of which there is a great deal to say " * 8
+
+
+def table_of_glass(folder: Path) -> Path:
+    """A table of a coating that transmits 99 % up to 80 degrees."""
+    header = "wavelength_um,incidence_deg,ts_amplitude,ts_phase_deg,tp_amplitude,tp_phase_deg"
+    path = folder / "glass.csv"
+    path.write_text("\n".join([header, *(f"0.532,{angle},0.995,0,0.995,0" for angle in (0, 80))]))
+    return path
 
 
 def aspheric_doublet(count: int) -> Lens:
@@ -81,6 +90,34 @@ def test_roughness_of_the_design_is_the_texture_on_the_sheet(paper_lens: Lens) -
     assert "P Rq 2.5 nm" in texts
     smooth = lens_drawing(paper_lens, DrawingOptions(tolerances=(FULL,)))
     assert not any("Rq" in text for text in said(smooth.sheets[0]))
+
+
+def test_coatings_of_the_design_are_on_the_sheet(paper_lens: Lens, tmp_path: Path) -> None:
+    films = tuple(CoatingLayer(material=name, quarter_waves=1.0) for name in ("MgF2", "Ta2O5", "Al2O3"))
+    three = Coating(layers=films, design_wavelength_um=0.532)
+    coated = paper_lens.with_surface(0, coating="mgf2").with_surface(1, coating=three)
+    drawing = lens_drawing(coated, DrawingOptions())
+    assert_tidy(drawing)
+    texts = said(drawing.sheets[0])
+    assert "MgF2, quarter wave at 532 nm" in texts
+    assert "3 layers, 532 nm" in texts
+    mixed = paper_lens.with_coating("bare").with_surface(1, coating=Coating(file=table_of_glass(tmp_path)))
+    bare = DrawingOptions(tolerances=(DrawingTolerances(left=SurfaceTolerances(coating="AR 532 nm")),))
+    texts = said(lens_drawing(mixed, bare).sheets[0])
+    assert "AR 532 nm" in texts
+    assert "as table glass.csv" in texts
+    assert "uncoated" not in texts
+    texts = said(lens_drawing(paper_lens.with_coating("bare"), DrawingOptions()).sheets[0])
+    assert texts.count("uncoated") == 2
+
+
+def test_films_of_a_cemented_surface_are_on_one_sheet() -> None:
+    films = Coating(layers=(CoatingLayer(index=1.6, thickness_nm=80.0),))
+    doublet = aspheric_doublet(0)
+    for coating, expected in ((films, "cemented, n = 1.6, 80 nm"), ("bare", "cemented")):
+        first, second = lens_drawing(doublet.with_surface(1, coating=coating), DrawingOptions()).sheets
+        assert expected in said(first)
+        assert "cemented" in said(second)
 
 
 def test_the_paper_lens_says_what_it_is(paper_lens: Lens) -> None:
