@@ -64,7 +64,8 @@ def export(
     If the design has no edge, the glass has the ground diameter of the drawing; the file and a note state it.
 
     Surfaces have their nominal shape. Meshes support --measured; otherwise a note names surfaces whose
-    measured figure is omitted.
+    measured figure is omitted. Files of other programs contain no coatings and no roughness; notes name the
+    surfaces.
 
     Example: lensdesign export lens.toml lens.stl
     """

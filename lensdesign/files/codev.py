@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
@@ -48,6 +49,7 @@ from lensdesign.files.draft import (
     find_glass_of_unknown_maker,
     losses_named,
     note_lines,
+    omissions,
     parse_number,
     plain_title,
     pose_break,
@@ -684,7 +686,13 @@ _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
 }
 
 
-def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> None:
+def write_seq(
+    lens: Lens,
+    path: str | os.PathLike[str],
+    pose: Pose = Pose(),
+    *,
+    warn: Callable[[str], None] = warnings.warn,
+) -> None:
     """Write a lens to a CODE V sequence file (.seq).
 
     :func:`read_seq` reads the same lens and pose from the file. Numbers are written with all digits. The pose
@@ -701,6 +709,9 @@ def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
         File to write.
     pose
         Pose of the lens (default: aligned). It must hold scalars, not one value for each trial.
+    warn
+        Called with one sentence for each surface whose coating or roughness is omitted (default: a Python
+        warning).
 
     Raises
     ------
@@ -720,6 +731,8 @@ def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
     """
     target = Path(path)
     check_writable(lens, pose, lambda shape: shape.codev(), "a .seq file")
+    for note in omissions(lens, "a .seq file"):
+        warn(note)
     half = 0.5 * lens.object.field_diameter_mm
     lines = [
         "RDM;LEN",

@@ -25,6 +25,7 @@ import numpy as np
 from lensdesign.common.input_files import LENS_FILE_BYTES, read_input
 from lensdesign.common.toml_files import joined_faults
 from lensdesign.errors import InputError, MaterialError
+from lensdesign.lens.coatings.coating import coating_text
 from lensdesign.lens.glass import get_material, list_glasses, normalized_name
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
@@ -476,6 +477,26 @@ def check_writable(lens: Lens, pose: Pose, convert_shape: Callable[[Shape], obje
             raise InputError(f"surface {i}: {error}") from error
     if any(np.ndim(getattr(pose, f.name)) for f in fields(pose)):
         raise InputError(f"{kind} can represent a single pose only, not one for each trial")
+
+
+def omissions(lens: Lens, kind: str) -> tuple[str, ...]:
+    """Return a sentence for each surface whose coating or roughness a sequential file cannot contain.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    kind
+        Name of the format, for messages.
+    """
+    notes = []
+    for i, surface in enumerate(lens.surfaces, start=1):
+        if surface.coating != "ideal":
+            text = coating_text(surface.coating, lens.wavelengths_um[0])
+            notes.append(f"surface {i}: {kind} cannot contain its coating; omitted: {text}")
+        if surface.roughness is not None:
+            notes.append(f"surface {i}: {kind} cannot contain its roughness; omitted")
+    return tuple(notes)
 
 
 def pose_distances(lens: Lens, pose: Pose) -> tuple[float, float, float, float]:

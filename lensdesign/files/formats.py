@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -86,7 +87,9 @@ def read_lens_file(
     return found
 
 
-def write_lens_file(lens: Lens, path: str | os.PathLike[str]) -> None:
+def write_lens_file(
+    lens: Lens, path: str | os.PathLike[str], *, warn: Callable[[str], None] = warnings.warn
+) -> None:
     """Write a lens to another program's file; the suffix selects the format.
 
     Parameters
@@ -95,6 +98,9 @@ def write_lens_file(lens: Lens, path: str | os.PathLike[str]) -> None:
         The lens.
     path
         File to write: ``.zmx`` (Zemax OpticStudio) or ``.seq`` (CODE V).
+    warn
+        Called with one sentence for each surface whose coating or roughness is omitted (default: a Python
+        warning).
 
     Raises
     ------
@@ -105,7 +111,7 @@ def write_lens_file(lens: Lens, path: str | os.PathLike[str]) -> None:
     """
     writer = _format_of(path, "write", WRITTEN_LENS_FORMATS).writer
     assert writer is not None
-    getattr(files, writer)(lens, path)
+    getattr(files, writer)(lens, path, warn=warn)
 
 
 def _format_of(path: str | os.PathLike[str], verb: str, formats: Mapping[str, LensFormat]) -> LensFormat:

@@ -22,6 +22,7 @@ from __future__ import annotations
 import codecs
 import math
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Context, Decimal
@@ -45,6 +46,7 @@ from lensdesign.files.draft import (
     find_glass_of_unknown_maker,
     losses_named,
     note_lines,
+    omissions,
     parse_number,
     plain_title,
     pose_break,
@@ -874,7 +876,13 @@ def radius_mm(curvature: str, location: str) -> float:
     return exact
 
 
-def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> None:
+def write_zmx(
+    lens: Lens,
+    path: str | os.PathLike[str],
+    pose: Pose = Pose(),
+    *,
+    warn: Callable[[str], None] = warnings.warn,
+) -> None:
     """Write a lens to a Zemax OpticStudio file (.zmx).
 
     :func:`read_zmx` reads the same lens and pose from the file. Numbers are written with all digits. The pose
@@ -890,6 +898,9 @@ def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
         File to write.
     pose
         Pose of the lens (default: aligned). It must hold scalars, not one value for each trial.
+    warn
+        Called with one sentence for each surface whose coating or roughness is omitted (default: a Python
+        warning).
 
     Raises
     ------
@@ -909,6 +920,8 @@ def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
     """
     target = Path(path)
     check_writable(lens, pose, lambda shape: shape.zemax(), "a .zmx file")
+    for note in omissions(lens, "a .zmx file"):
+        warn(note)
     lines = _header(lens) + [f"NOTE 0 {line}" for line in note_lines(lens, pose, target.parent)]
     blocks = _blocks(lens, pose)
     for i, block in enumerate(blocks):

@@ -50,7 +50,7 @@ class ExportOptions:
     measured
         Whether surfaces have their measured figures; meshes only.
     warn
-        Called with one sentence for each surface whose measured figure is omitted.
+        Called with one sentence for each surface whose measured figure, coating or roughness is omitted.
     """
 
     chord_error_um: float
@@ -186,10 +186,20 @@ def _nominal_values(lens: Lens, outline: DrawnOutline) -> dict[str, Any]:
     }
 
 
-def _lens_file(lens: Lens, path: Path, _options: ExportOptions) -> Exported:
-    write_lens_file(lens, path)
+def _lens_file(lens: Lens, path: Path, options: ExportOptions) -> Exported:
+    write_lens_file(lens, path, warn=options.warn)
     surfaces = len(lens.surfaces)
-    return Exported(f"{surfaces} surfaces", {"file": str(path), "surfaces": surfaces})
+    values = {
+        "file": str(path),
+        "surfaces": surfaces,
+        "surfaces_without_their_coating": [
+            i for i, surface in enumerate(lens.surfaces, start=1) if surface.coating != "ideal"
+        ],
+        "surfaces_without_their_roughness": [
+            i for i, surface in enumerate(lens.surfaces, start=1) if surface.roughness is not None
+        ],
+    }
+    return Exported(f"{surfaces} surfaces", values)
 
 
 def _measured_outline(lens: Lens) -> tuple[str, ...]:

@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 
 from lensdesign.cli.commands import app
 from lensdesign.files.design import load_design
+from lensdesign.files.formats import read_lens_file, write_lens_file
+from lensdesign.lens.surface_roughness import SurfaceRoughness
 from lensdesign.manufacture.exports import ExportOptions, export_lens
 from lensdesign.manufacture.mesh.reading import read_mesh
 
@@ -59,6 +61,25 @@ def test_measured_bodies_end_at_their_clear_apertures_and_say_so(tmp_path: Path)
     (statement,) = made.outline
     assert "diameter 20 mm (clear aperture" in statement
     assert (tmp_path / "lens.stl").read_bytes()[:80].startswith(b"transferlens element 1")
+
+
+@pytest.mark.parametrize("suffix", [".zmx", ".seq"])
+def test_files_of_other_programs_name_the_coatings_that_they_lack(suffix: str, tmp_path: Path) -> None:
+    lens = load_design(DESIGNS / "paper_singlet.toml").with_surface(0, coating="mgf2")
+    rough = SurfaceRoughness(rms_nm=2.0, correlation_length_um=5.0)
+    notes: list[str] = []
+    path = tmp_path / f"lens{suffix}"
+    made = export_lens(lens.with_surface(1, roughness=rough), path, ExportOptions(5.0, False, notes.append))
+    assert notes == [
+        f"surface 1: a {suffix} file cannot contain its coating; omitted: MgF2, quarter wave at 532 nm",
+        f"surface 2: a {suffix} file cannot contain its roughness; omitted",
+    ]
+    assert made.values["surfaces_without_their_coating"] == [1]
+    assert made.values["surfaces_without_their_roughness"] == [2]
+    assert {surface.coating for surface in read_lens_file(path).lens.surfaces} == {"ideal"}
+    with pytest.warns(UserWarning, match="surface 1: a .* cannot contain its coating"):
+        write_lens_file(lens, path)
+    assert exported(path, DESIGNS / "paper_singlet.toml")[1] == []
 
 
 def command(*arguments: object) -> tuple[int, str, str]:
