@@ -91,7 +91,8 @@ class SurfacePerturbation:
     index
         Change of the refractive index of the medium behind the surface.
     coating_thickness_percent
-        Relative change of the thicknesses of all films of the coating; it does not change the rays.
+        Relative change of the thicknesses of all films of the coating; it does not change the rays. The
+        coating must have films.
     shape
         Changes of further parameters of the shape, by their names, such as ``radius_x_mm``.
     figure

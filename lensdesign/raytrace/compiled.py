@@ -13,6 +13,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.files.surface_coatings import compile_coatings
 from lensdesign.files.surface_figures import surface_figure
+from lensdesign.lens.coatings.coating import NO_FILMS, has_films
 from lensdesign.lens.coatings.compiled import CompiledCoating
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation, Value, trial_count
@@ -223,6 +224,8 @@ def _coatings(
     coatings = list(compile_coatings(lens, wavelength_um))
     for i, change in changes.items():
         if np.any(change.coating_thickness_percent):
+            if not has_films(lens.surfaces[i].coating):
+                raise InputError(f"surface {i + 1}: coating_thickness_percent: {NO_FILMS}")
             error = 0.01 * np.asarray(change.coating_thickness_percent)
             coatings[i] = coatings[i].with_thickness_error(error[..., None])
     return tuple(coatings)

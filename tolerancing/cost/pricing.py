@@ -17,6 +17,7 @@ from lensdesign.lens.shapes.base import length_power
 from tolerancing.cost.table import CostTable
 from tolerancing.perturbations.batch import radius_delta_mm
 from tolerancing.perturbations.parameters import (
+    COATING_THICKNESS,
     EDGE_DIFFERENCES,
     IRREGULARITIES,
     RADII,
@@ -175,7 +176,7 @@ def _quantity(parameter: PerturbedParameter) -> str:
         return "roll_deg"
     if name.startswith("decenter"):
         return "decenter_mm"
-    if name in (*IRREGULARITIES, ROUGHNESS, "thickness_mm", "index", "abbe_percent"):
+    if name in (*IRREGULARITIES, ROUGHNESS, COATING_THICKNESS, "thickness_mm", "index", "abbe_percent"):
         return name
     return "form_um" if name in SHAPE_PARAMETERS else "distance_mm"
 

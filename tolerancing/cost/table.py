@@ -21,6 +21,7 @@ QUANTITIES = {
     "irregularity_pv_waves": "irregularity of a surface, peak to valley, in waves of 632.8 nm",
     "irregularity_rms_waves": "irregularity of a surface, root mean square, in waves of 632.8 nm",
     "roughness_rms_nm": "roughness of a surface, root mean square, in nm",
+    "coating_thickness_percent": "thickness of the films of a coating, in per cent",
     "form_um": "departure of a conic constant or an aspheric term, as sag at the clear semi-diameter",
     "thickness_mm": "centre thickness of a glass element",
     "tilt_deg": "tilt of a surface against its part (wedge), or of a part in its mount",

@@ -4,7 +4,7 @@ from .context import Context, Sampling
 from .line_pairs import LinePairContrast
 from .pupil import ImageShift, ModulationTransfer, PupilMerit, RmsWaves, SmallestResolvedLine, Strehl
 from .python import PythonMerit, Trial
-from .rays import FootprintRadius, LargestSpread, RayMerit, ScatteredFraction, Throughput
+from .rays import FootprintRadius, LargestSpread, RayMerit, ScatteredFraction, Throughput, Transmittance
 from .reconstructed_contrast import ReconstructedContrast
 from .reconstruction_loss import ReconstructionLoss
 from .registry import MERITS, merit_from_table
@@ -30,6 +30,7 @@ __all__ = [
     "SmallestResolvedLine",
     "Strehl",
     "Throughput",
+    "Transmittance",
     "Trial",
     "merit_from_table",
 ]

@@ -20,7 +20,12 @@ from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.perturbations.parameters import IRREGULARITIES, ROUGHNESS, PerturbedParameter
+from tolerancing.perturbations.parameters import (
+    COATING_THICKNESS,
+    IRREGULARITIES,
+    ROUGHNESS,
+    PerturbedParameter,
+)
 from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
@@ -53,7 +58,8 @@ class Compensator(PerturbedParameter):
 
     @model_validator(mode="after")
     def _adaptable(self) -> Compensator:
-        if self.parameter in (*IRREGULARITIES, ROUGHNESS) or self.target in ("light", "reconstruction"):
+        fixed = (*IRREGULARITIES, ROUGHNESS, COATING_THICKNESS)
+        if self.parameter in fixed or self.target in ("light", "reconstruction"):
             raise ValueError(f"parameter = {self.parameter!r}: the reconstruction's model cannot adapt it")
         return self
 

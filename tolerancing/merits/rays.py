@@ -1,4 +1,4 @@
-"""Merits of traced rays: spread angles, footprints, throughput, scattered light."""
+"""Merits of traced rays: spread angles, footprints, throughput, transmittance, scattered light."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
     from lensdesign.raytrace.bundles import PupilSamples
+    from lensdesign.raytrace.compiled import CompiledSystem
 
 
 class RayMerit(Merit):
@@ -75,6 +76,28 @@ class RayMerit(Merit):
         own = () if plane_mm is None else (plane_mm,)
         planes = tuple(dict.fromkeys((*context.lens.sensor.plane_distances_mm, *own)))
         return context.extreme_samples(self.extreme_points(context), self.wavelength_um, planes)
+
+    def _launched(
+        self, context: Context, batch: PerturbationBatch, stop: PupilSamples
+    ) -> tuple[CompiledSystem, Array, Array]:
+        """Return the perturbed lenses, and origins and directions of rays from the field points."""
+        from lensdesign.raytrace.bundles import launch_compiled
+        from lensdesign.raytrace.compiled import compile_system
+
+        lens, wavelength = context.lens, context.wavelength_um(self.wavelength_um)
+        pose = batch.poses()
+        if batch.moves_rays:
+            pose = shifted_pose(pose, -batch.object_shift_mm(lens))
+        system = compile_system(lens, wavelength, pose, batch.surface_perturbations(lens, wavelength))
+        origins, directions = launch_compiled(
+            system,
+            self.points(lens),
+            stop.points,
+            lens.object_z_mm,
+            lens.stop_index,
+            lens.stop_semi_diameter_mm,
+        )
+        return system, origins, directions
 
     def rays_of(self, context: Context, batch: PerturbationBatch, plane_mm: float | None = None) -> Arrival:
         """Trace rays to the first sensor plane, shape (trials, field points * stop points, ...)."""
@@ -135,6 +158,35 @@ class Throughput(RayMerit):
         return np.sum(np.where(rays.ok, weights, 0.0), axis=-1)
 
 
+class Transmittance(RayMerit):
+    """Mean transmittance of the coatings for unpolarized light, over field points and stop.
+
+    The mean is over the rays that pass the lens; `throughput` counts the others.
+    """
+
+    def check(self, lens: Lens) -> None:
+        super().check(lens)
+        if all(surface.coating == "ideal" for surface in lens.surfaces):
+            raise ValueError(
+                f"kind = {self.kind!r}: all coatings of the design are ideal and transmit all light; add "
+                'coating = "bare", "mgf2" or layers to a surface'
+            )
+
+    def scores(self, context: Context, batch: PerturbationBatch) -> Array:
+        from lensdesign.raytrace.polarization import jones_matrices
+        from lensdesign.raytrace.rays import trace_compiled
+
+        points, stop = self.points(context.lens), context.stop_samples()
+        system, origins, directions = self._launched(context, batch, stop)
+        rays = trace_compiled(system, origins, directions, record_hits=True)
+        transmittance = jones_matrices(system, origins, rays).transmittance
+        weights = np.tile(stop.weights, len(points)) * rays.ok
+        with np.errstate(invalid="ignore", divide="ignore"):
+            means = np.sum(np.where(weights > 0.0, weights * transmittance, 0.0), axis=-1)
+            means = means / np.sum(weights, axis=-1)
+        return np.broadcast_to(means, (len(batch),)).copy()
+
+
 class ScatteredFraction(RayMerit):
     """Fraction of the light of a field point that rough surfaces scatter, at the worst field point."""
 
@@ -148,19 +200,11 @@ class ScatteredFraction(RayMerit):
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
         from lensdesign.analysis.roughness import refractions, roughness_phases_rad, scattered_fraction
-        from lensdesign.raytrace.bundles import launch_compiled
-        from lensdesign.raytrace.compiled import compile_system
 
         lens, wavelength = context.lens, context.wavelength_um(self.wavelength_um)
         points, stop = self.points(lens), context.stop_samples()
+        system, origins, directions = self._launched(context, batch, stop)
         perturbed = batch.surface_perturbations(lens, wavelength)
-        pose = batch.poses()
-        if batch.moves_rays:
-            pose = shifted_pose(pose, -batch.object_shift_mm(lens))
-        system = compile_system(lens, wavelength, pose, perturbed)
-        origins, directions = launch_compiled(
-            system, points, stop.points, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
-        )
         rays = refractions(system, origins, directions)
         phases = roughness_phases_rad(lens, rays, wavelength, perturbed)
         fractions = scattered_fraction(np.linalg.norm(phases, axis=-1))

@@ -15,7 +15,13 @@ from tolerancing.merits.pupil import (
     Strehl,
 )
 from tolerancing.merits.python import PythonMerit
-from tolerancing.merits.rays import FootprintRadius, LargestSpread, ScatteredFraction, Throughput
+from tolerancing.merits.rays import (
+    FootprintRadius,
+    LargestSpread,
+    ScatteredFraction,
+    Throughput,
+    Transmittance,
+)
 from tolerancing.merits.reconstructed_contrast import ReconstructedContrast
 from tolerancing.merits.reconstruction.merit import Reconstruction
 from tolerancing.merits.reconstruction_loss import ReconstructionLoss
@@ -24,6 +30,7 @@ MERITS: dict[str, type[Merit]] = {
     "largest_spread_deg": LargestSpread,
     "footprint_radius_mm": FootprintRadius,
     "throughput": Throughput,
+    "transmittance": Transmittance,
     "scattered_fraction": ScatteredFraction,
     "strehl": Strehl,
     "rms_waves": RmsWaves,

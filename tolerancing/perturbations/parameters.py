@@ -13,6 +13,7 @@ from pydantic import Field, SerializeAsAny, field_validator, model_validator
 from lensdesign.common.frozen_model import FiniteNumber, FrozenModel
 from lensdesign.common.toml_files import joined_faults, pick, unknown_key, validate
 from lensdesign.errors import DesignError, MaterialError
+from lensdesign.lens.coatings.coating import NO_FILMS, has_films
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
 from lensdesign.lens.shapes.registry import parameters
@@ -38,6 +39,9 @@ GLASS_PARAMETERS = ("index", "abbe_percent")
 
 ROUGHNESS = "roughness_rms_nm"
 """Parameter that changes how much light a surface scatters, and no ray."""
+
+COATING_THICKNESS = "coating_thickness_percent"
+"""Parameter that changes how much light a surface transmits and with which phase, and no ray."""
 
 LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
 """Parameters of the whole lens: the values of a pose."""
@@ -263,6 +267,8 @@ class PerturbedParameter(FrozenModel):
             )
         if self.parameter == ROUGHNESS and surface.roughness is None:
             raise ValueError(f"{key}: {self.target}: {NO_ROUGHNESS}")
+        if self.parameter == COATING_THICKNESS and not has_films(surface.coating):
+            raise ValueError(f"{key}: {self.target}: {NO_FILMS}")
         if index < len(lens.surfaces) - 1:
             if self.parameter in GLASS_PARAMETERS and surface.material is None:
                 raise ValueError(f"{key}: {self.target} has air behind it, no glass")

@@ -70,6 +70,7 @@ class _Surface(FrozenModel):
     conic: Finite = 0.0
     thickness_mm: Finite = 0.0
     index: Finite = 0.0
+    coating_thickness_percent: Finite = 0.0
     shape: dict[str, Finite] = Field(default_factory=dict)
     figure: _Figure | None = None
     roughness_rms_nm: Finite = 0.0

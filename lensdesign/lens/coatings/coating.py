@@ -151,6 +151,17 @@ SurfaceCoating = Annotated[
 """Value of a surface's `coating`: a name or a table."""
 
 
+NO_FILMS = (
+    'the coating of this surface has no films whose thickness could change; set coating = "mgf2" or layers'
+)
+"""Message for a surface without films whose thickness is to change."""
+
+
+def has_films(coating: SurfaceCoating) -> bool:
+    """Return whether a coating consists of films: ``mgf2`` or layers."""
+    return coating == "mgf2" if isinstance(coating, str) else bool(coating.layers)
+
+
 def quarter_wave_mgf2(design_wavelength_um: float) -> Coating:
     """Return the coating ``mgf2``: a quarter wave of magnesium fluoride at a wavelength."""
     layer = CoatingLayer(material="MgF2", quarter_waves=1.0)

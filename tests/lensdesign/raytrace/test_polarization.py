@@ -137,6 +137,12 @@ def test_trials_and_rays_that_fail():
     assert together.jones[2, 0] == pytest.approx(alone.jones[0], abs=1e-15)
 
 
+def test_a_surface_without_films_has_no_thickness_to_change():
+    changed = {1: SurfacePerturbation(coating_thickness_percent=1.0)}
+    with pytest.raises(InputError, match="surface 2: coating_thickness_percent: the coating of this surface"):
+        compile_system(coated("bare"), 0.532, surface_perturbations=changed)
+
+
 def test_thickness_errors_of_a_coating_change_its_light_and_not_the_rays():
     lens = coated("mgf2")
     origins, directions = launch(lens, [(0.0, 0.0)], [(0.0, 0.0)], 0.532)

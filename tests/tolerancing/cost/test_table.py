@@ -15,6 +15,7 @@ def test_the_supplied_table_tells_its_sources_and_prices_all_of_a_part():
             "roll_deg",
             "distance_mm",
             "roughness_rms_nm",
+            "coating_thickness_percent",
         }
 
 

@@ -35,6 +35,8 @@ surfaces = st.dictionaries(
         tilt_x_deg=lengths,
         radius_mm=lengths,
         index=lengths,
+        coating_thickness_percent=lengths,
+        roughness_rms_nm=lengths,
         shape=st.dictionaries(st.just("radius_x_mm"), lengths),
     ),
 )
