@@ -41,12 +41,18 @@ class Kernel:
     beta: float
 
 
-def kernel_for(error: float) -> Kernel:
-    """Return the shortest kernel for an interpolation error, by Kaiser's formulas."""
-    attenuation_db = max(-20.0 * math.log10(error), 50.0)
+def kernel_for(error: float, largest_error: float = 10.0**-2.5) -> Kernel:
+    """Return the shortest kernel for an interpolation error, by Kaiser's formulas.
+
+    Larger errors than the largest one, which is at most 0.03, give the kernel of the largest one.
+    """
+    attenuation_db = -20.0 * math.log10(min(error, largest_error))
     transition = 2.0 * math.pi * (1.0 - 1.0 / OVERSAMPLING)
     taps = 2 * math.ceil(0.5 * (attenuation_db - 8.0) / (2.285 * transition))
-    return Kernel(taps, 0.1102 * (attenuation_db - 8.7))
+    if attenuation_db >= 50.0:
+        return Kernel(taps, 0.1102 * (attenuation_db - 8.7))
+    beyond_db = attenuation_db - 21.0
+    return Kernel(taps, 0.5842 * beyond_db**0.4 + 0.07886 * beyond_db)
 
 
 def coarse_axis(fine: Array, step: float, kernel: Kernel) -> Array:

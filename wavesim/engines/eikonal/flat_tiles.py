@@ -57,8 +57,12 @@ def type_of(component: int | None, dtype: np.dtype[Any]) -> np.dtype[Any]:
 
     Single precision is enough for crossed components, which have a few percent of the amplitude.
     """
-    is_crossed = component is not None and component % 2 == 1
-    return np.dtype(np.complex64) if is_crossed else dtype
+    return np.dtype(np.complex64) if is_crossed(component) else dtype
+
+
+def is_crossed(component: int | None) -> bool:
+    """Return whether a component is crossed to the polarization of the light."""
+    return component is not None and component % 2 == 1
 
 
 def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float) -> Array:
@@ -158,9 +162,11 @@ class TileOperator:
             sensor = carrier_values[self._needed] * sensor
         self._weights = sensor.astype(self._dtype)
         self._jones: NDArray | None = None
-        self._single: tuple[tuple[Weights, Weights], NDArray] | None = None
+        self._crossed: tuple[tuple[Weights, Weights], NDArray] | None = None
         if carrier.jones is not None:
             self._jones = self._on_points(carrier.jones).astype(self._dtype)
+            if self._interpolation is not None:
+                self._crossed = self._crossed_interpolation()
         self._set_points(self._on_points(carrier.maps)[2:])
 
     @property
@@ -231,18 +237,32 @@ class TileOperator:
         if self._interpolation is None:
             result[self.window] += field
         else:
-            interpolation, carrier = self._in(result.dtype)
-            add_interpolated(field, interpolation, carrier, result, self._origin)
+            weights, carrier = self._interpolation_of(component)
+            add_interpolated(field, weights, carrier, result, self._origin)
 
-    def _in(self, dtype: np.dtype[Any]) -> tuple[tuple[Weights, Weights], NDArray]:
-        """Return the interpolation weights and the carrier for a plane of a data type."""
+    def _interpolation_of(self, component: int | None) -> tuple[tuple[Weights, Weights], NDArray]:
+        """Return the interpolation weights and the carrier for a component of the field."""
         assert self._interpolation is not None
-        if dtype == self._dtype:
-            return self._interpolation, self._carrier
-        if self._single is None:
-            along_y, along_x = (weights.astype(np.float32) for weights in self._interpolation)
-            self._single = (along_y, along_x), self._carrier.astype(np.complex64)
-        return self._single
+        return (
+            self._crossed
+            if self._crossed is not None and is_crossed(component)
+            else (
+                self._interpolation,
+                self._carrier,
+            )
+        )
+
+    def _crossed_interpolation(self) -> tuple[tuple[Weights, Weights], NDArray]:
+        """Return weights and carrier for crossed components, whose small size allows larger errors."""
+        assert self._jones is not None
+        sizes = [float(np.sqrt(np.mean(np.abs(values) ** 2))) for values in self._jones]
+        size = max(max(sizes[1::2]) / max(sizes), 1e-6)
+        kernel = kernel_for(self._precision.interpolation_error / size, 0.03)
+        along_y, along_x = (
+            interpolation(c, f, kernel).astype(np.float32)
+            for c, f in zip(self._coarse, self._fine, strict=True)
+        )
+        return (along_y, along_x), self._carrier.astype(np.complex64)
 
     def adjoint(
         self, planes: Sequence[NDArray], components: Sequence[int | None], threads: int = 1
@@ -255,8 +275,8 @@ class TileOperator:
             if self._interpolation is None:
                 field = values[self.window]
             else:
-                interpolation, carrier = self._in(values.dtype)
-                field = gathered(values, interpolation, carrier, self._origin, threads)
+                weights, carrier = self._interpolation_of(component)
+                field = gathered(values, weights, carrier, self._origin, threads)
             own = field[self._needed].astype(self._dtype, copy=False)
             if component is not None:
                 assert self._jones is not None
