@@ -242,15 +242,10 @@ class TileOperator:
 
     def _interpolation_of(self, component: int | None) -> tuple[tuple[Weights, Weights], NDArray]:
         """Return the interpolation weights and the carrier for a component of the field."""
+        if self._crossed is not None and is_crossed(component):
+            return self._crossed
         assert self._interpolation is not None
-        return (
-            self._crossed
-            if self._crossed is not None and is_crossed(component)
-            else (
-                self._interpolation,
-                self._carrier,
-            )
-        )
+        return self._interpolation, self._carrier
 
     def _crossed_interpolation(self) -> tuple[tuple[Weights, Weights], NDArray]:
         """Return weights and carrier for crossed components, whose small size allows larger errors."""
