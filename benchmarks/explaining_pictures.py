@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lensdesign import launch, load_design, pupil_hexapolar, trace
+from lensdesign import launch, load_design, pupil_hexapolar, trace, trace_polarized
 from lensdesign.analysis import largest_spread_angle
 from lensdesign.plots.style import BLUE, GREEN, GREY, ORANGE, RED
 from tolerancing.report.figures.style import chart_style
@@ -209,6 +209,41 @@ def rough_frames(picture: Path) -> None:
         _save(figure, picture)
 
 
+def coatings(picture: Path) -> None:
+    """Transmittance of coatings over the angle of incidence, and the crossed component over the stop."""
+    from lensdesign.lens import film_coefficients, film_index, refractive_index
+
+    wavelength_um, films = 0.532, [film_index(name, 0.532) for name in ("MgF2", "Ta2O5")]
+    stacks: dict[str, tuple[str, list[complex], list[float]]] = {
+        "bare": (RED, [], []),
+        "MgF2": (ORANGE, films[:1], [1.0]),
+        "3 layers": (BLUE, [*films, 1.65 + 0.0j], [1.0, 2.0, 1.0]),
+    }
+    angle = np.linspace(0.0, 70.0, 200)
+    steps = np.linspace(-1.0, 1.0, 161)
+    stop = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    stop = stop[np.hypot(*stop.T) <= 1.0]
+    bare = load_design(PAPER).with_coating("bare")
+    light = trace_polarized(bare, *launch(bare, [(0.0, 0.0)], stop, wavelength_um), wavelength_um)
+    with chart_style():
+        figure = _figure(8.4, 3.2)
+        left, right = figure.subplots(1, 2)
+        glass = refractive_index("N-BK7", wavelength_um)
+        for name, (colour, indices, waves) in stacks.items():
+            thicknesses = [0.25 * q * wavelength_um / n.real for q, n in zip(waves, indices, strict=True)]
+            cosine = np.cos(np.radians(angle))
+            found = film_coefficients(1.0, glass, indices, thicknesses, cosine, wavelength_um)
+            left.plot(angle, 100.0 * np.abs(found.ts) ** 2, color=colour, label=f"{name}, s")
+            left.plot(angle, 100.0 * np.abs(found.tp) ** 2, "--", color=colour, label=f"{name}, p")
+        left.set(xlabel="angle of incidence (deg)", ylabel="transmittance (%)", ylim=(75.0, 100.5))
+        left.legend(loc="lower left", fontsize=7)
+        crossed = 100.0 * light.jones[:, 1, 0].real
+        drawn = right.scatter(*stop.T, c=crossed, s=2.0, marker="s", cmap="RdBu_r", vmin=-4.0, vmax=4.0)
+        right.set(title="crossed amplitude (%)", xlabel="stop, x", ylabel="stop, y", aspect="equal")
+        figure.colorbar(drawn, ax=right, shrink=0.85)
+        _save(figure, picture)
+
+
 def view(picture: Path) -> None:
     """The lens, its rays and the planes of the sensor in space."""
     from lensdesign.plots.scene3d import render_lens
@@ -251,6 +286,7 @@ def main(arguments: list[str]) -> None:
         spread_over_field,
         reconstruction_pupil,
         rough_frames,
+        coatings,
         view,
     ):
         draw(Path(arguments[0]) / f"{draw.__name__}.png")

@@ -15,10 +15,10 @@ from lensdesign.lens.surface import Surface
 def scaled(lens: Lens, factor: float) -> Lens:
     """Return a lens with all lengths scaled, including those of object space and sensor planes.
 
-    The cover glass of the sensor scales too. Numerical aperture, angles, glasses, wavelengths and the pixel
-    pitch stay. The largest spread angle and the resolution therefore stay too. The number of pixels and the
-    space-bandwidth product scale with the areas. A figure given by Zernike coefficients scales in size and in
-    sag error; a figure in a grid file cannot be scaled.
+    The cover glass of the sensor scales too. Numerical aperture, angles, glasses, coatings, wavelengths and
+    the pixel pitch stay. The largest spread angle and the resolution therefore stay too. The number of pixels
+    and the space-bandwidth product scale with the areas. A figure given by Zernike coefficients scales in
+    size and in sag error; a figure in a grid file cannot be scaled.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ def patch_scene(
     Returns
     -------
     Scene
-        The scene of the nominal lens with ideal coatings.
+        The scene of the nominal lens with the coatings of its design.
 
     Raises
     ------

@@ -30,7 +30,7 @@ def film_index(name: str, wavelength_um: float) -> complex:
     Parameters
     ----------
     name
-        A name of :data:`FILM_PAGES`, or a page of the database, such as ``main/ZrO2/Synowicki``.
+        A name of :data:`FILM_PAGES`, or a page of the database, such as ``main/Sc2O3/Belosludtsev``.
     wavelength_um
         Vacuum wavelength.
 
