@@ -49,8 +49,8 @@ def scalar_light_term(scene: Scene) -> ErrorTerm | None:
         scalar = scalar * coating_coefficient(scene, surface, cosines[:, surface])
     different = jones - scalar[:, None, None] * np.eye(2)
     error = math.sqrt(float(np.sum(np.abs(different) ** 2) / np.sum(np.abs(jones) ** 2)))
-    names = "ideal coatings" if scene.has_ideal_coatings else "the coatings of the design"
-    return ErrorTerm(f"scalar light: one component instead of the polarization, with {names}", error)
+    coatings = "ideal coatings" if scene.has_ideal_coatings else "coatings that are not ideal"
+    return ErrorTerm(f"scalar light: one component of the field instead of two, with {coatings}", error)
 
 
 def _rays(scene: Scene) -> tuple[Array, Array]:

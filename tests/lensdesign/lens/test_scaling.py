@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensdesign import load_design, trace
+from lensdesign import Coating, CoatingLayer, load_design, trace
+from lensdesign.analysis.coatings import coating_report
 from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
@@ -32,6 +33,18 @@ def test_rays_of_a_twin_are_those_of_the_lens_but_for_size(factor: float) -> Non
 def test_spread_stays() -> None:
     angles = [largest_spread_angle(lens, 0.532).spread_deg for lens in (PAPER, scaled(PAPER, 0.125))]
     assert angles[1] == pytest.approx(angles[0], abs=1e-7)
+
+
+def test_coatings_stay() -> None:
+    """Their films have thicknesses of the wavelength, which stays."""
+    layers = (CoatingLayer(index=1.38, thickness_nm=96.4), CoatingLayer(material="Ta2O5", quarter_waves=2.0))
+    films = Coating(layers=layers, design_wavelength_um=0.5)
+    lens = PAPER.with_coating("mgf2").with_surface(1, coating=films)
+    twin = scaled(lens, 0.1)
+    assert [s.coating for s in twin.surfaces] == [s.coating for s in lens.surfaces]
+    small, large = (coating_report(one).centre for one in (twin, lens))
+    assert small.transmittance == pytest.approx(large.transmittance, abs=1e-12)
+    assert small.largest_retardance_deg == pytest.approx(large.largest_retardance_deg, abs=1e-9)
 
 
 def test_there_and_back() -> None:
