@@ -92,7 +92,7 @@ class RayBundle:
     sensor_mm : ndarray, shape (n, d)
         Coordinates on the plane: y, or y and x.
     path_mm : ndarray, shape (n,)
-        Optical path V. For scalar waves it includes the phase of the coatings.
+        Optical path V, with the phase of the coatings for scalar waves.
     cosines, slopes : ndarray, shape (n, d)
         -dV/ds at the object (p), and dV/ds at the plane.
     amplitude : ndarray, shape (n,)
@@ -104,7 +104,7 @@ class RayBundle:
     caustics : ndarray of int, shape (n,)
         Caustics touched between object and plane.
     jones : ndarray, shape (n, components), or None
-        Components of the field behind the lens relative to that of ideal scalar waves; None for scalar waves.
+        Components of the field behind the lens relative to `amplitude` and `path_mm`; None for scalar waves.
     """
 
     ok: NDArray[np.bool_]
@@ -239,17 +239,19 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
         spread = np.abs(determinants(cosine_jacobian) / determinants(jacobian))
         amplitude, path_mm = np.sqrt(spread * ratio), rays.opl
     origins = np.column_stack([points, np.full(len(points), scene.object_grid.z_mm)])
-    jones = None
+    jones, phase = None, np.zeros(())
+    if not scene.has_ideal_coatings:
+        transmitted, axial = _transmitted(scene, origins, rays)
+        # The phase relative to that on the axis has no jumps.
+        phase = np.angle(transmitted / axial) + np.angle(axial)
+        path_mm = path_mm + phase / scene.wavenumber_per_mm
+        if not is_vector(scene.polarization):
+            amplitude = amplitude * np.abs(transmitted)
     if is_vector(scene.polarization):
         matrices = jones_matrices(scene.system, origins, rays).jones
         components = components_of(scene.polarization)
         jones = np.stack([component.of(matrices) for component in components], axis=-1)
-    elif not scene.has_ideal_coatings:
-        transmitted, axial = _transmitted(scene, origins, rays)
-        amplitude = amplitude * np.abs(transmitted)
-        # The phase relative to that on the axis has no jumps.
-        phase = np.angle(transmitted / axial) + np.angle(axial)
-        path_mm = path_mm + phase / scene.wavenumber_per_mm
+        jones = jones * np.exp(-1j * phase)[..., None]
     return RayBundle(
         ok=ok & np.isfinite(amplitude),
         pupil=pupil,

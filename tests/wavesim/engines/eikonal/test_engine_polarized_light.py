@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lensdesign import Coating, CoatingLayer, InputError, Lens, ObjectSpace, Sensor, Surface, load_design
+from lensdesign import (
+    Coating,
+    CoatingLayer,
+    InputError,
+    Lens,
+    ObjectSpace,
+    Sensor,
+    Surface,
+    load_design,
+    scaled,
+)
 from lensdesign.lens.coatings.thin_films import film_coefficients
 from wavesim import Field, Grid, Scene, engine_for, patch_scene
 from wavesim.engines.eikonal.engine import FlatTiles
@@ -99,6 +109,25 @@ def test_a_line_behind_a_plate_has_the_sum_over_plane_waves(
     apart = differences(found, [exact, 0.0 * exact])
     assert apart[0] < 1e-4
     assert apart[1] < 1e-12
+
+
+def test_one_wide_tile_on_a_line_has_the_phase_of_the_coatings_at_all_its_points() -> None:
+    """Light across the plane of incidence stays so, and is the light of scalar waves on a line."""
+    waves = ((1.46, 1.0), (2.3, 1.0), (1.46, 1.0), (2.3, 2.0), (1.46, 1.0), (2.3, 1.0))
+    layers = tuple(CoatingLayer(index=index, quarter_waves=count) for index, count in waves)
+    narrow = Coating(layers=layers, design_wavelength_um=WAVELENGTH_UM)
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
+    scene = replace(patch_scene(lens, 0.06, 0.05, plane_distance_mm=0.125, meridional=True), coating=narrow)
+    random = np.random.default_rng(5).standard_normal((2, *scene.object_grid.shape))
+    light = Field(scene.object_grid, random[0] + 1j * random[1], scene.wavelength_um)
+    fields = [
+        FlatTiles(replace(scene, polarization=kind), tile_width_mm=1.0, error=0.2).forward_components(light)[
+            0
+        ]
+        for kind in ("scalar", 0.0)
+    ]
+    scalar, along = (field.values for field in fields)
+    assert np.linalg.norm(along - scalar) < 1e-3 * np.linalg.norm(scalar)
 
 
 @pytest.mark.parametrize(("coating", "films", "allowed"), [("bare", (), 3e-4), (COATED, FILMS, 8e-4)])
