@@ -32,11 +32,18 @@ def added_modes(
     modes: Sequence[SourceMode], light_of_mode: Callable[[SourceMode, str], Iterator[tuple[Array, float]]]
 ) -> list[tuple[Array, float]]:
     """Return the summed intensity of all modes on each plane, and its fraction beyond the Nyquist limit."""
-    total: list[tuple[Array, float]] = []
+    total: list[tuple[Array, float]] = []  # intensity, and energy beyond the limit
     for index, mode in enumerate(modes):
         planes = light_of_mode(mode, f"mode_{index}")
-        weighted = [(mode.weight * intensity, mode.weight * beyond) for intensity, beyond in planes]
+        weighted = [
+            (mode.weight * intensity, mode.weight * float(intensity.sum()) * beyond)
+            for intensity, beyond in planes
+        ]
         if total:
             weighted = [(a + b, c + d) for (a, c), (b, d) in zip(total, weighted, strict=True)]
         total = weighted
-    return total
+    energies = (float(intensity.sum()) for intensity, _ in total)
+    return [
+        (intensity, beyond / energy if energy > 0.0 else 0.0)
+        for (intensity, beyond), energy in zip(total, energies, strict=True)
+    ]
