@@ -161,12 +161,14 @@ def _choice_summary(choice: Any, runs: int) -> dict[str, Any]:
     return {
         "engine": choice.chosen.engine,
         "settings": choice.chosen.settings,
+        "polarization": choice.chosen.polarization,
         "reason": choice.reason,
         "runs": runs,
         "predictions": [
             {
                 "engine": p.engine,
                 "settings": p.settings,
+                "polarization": p.polarization,
                 "relative_error": finite_or_none(p.relative_error),
                 "seconds": finite_or_none(p.seconds),
                 "setup_seconds": p.setup_seconds,

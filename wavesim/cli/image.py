@@ -154,6 +154,8 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
             **_finest(imaged),
         },
         "illumination": settings.illumination,
+        "polarization": imaged.engine.scene.polarization,
+        "coating": settings.coating or "design",
         "wavelength_um": patch.wavelength_um,
         "engine": engine_summary(imaged.engine, imaged.predicted_error),
         "pose": vars(settings.pose),
@@ -261,6 +263,7 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
+    from wavesim.scene.polarization import is_vector, polarization_text
     from wavesim.targets.patch import stop_words
 
     engine, sensor, thing = summary["engine"], summary["sensor"], summary["object"]
@@ -283,6 +286,8 @@ def _print(summary: dict[str, Any], output: Path) -> None:
         )
     print(f"engine {engine['name']}, predicted relative error {predicted}")
     print(f"  {settings_text(engine['settings'])}")
+    if is_vector(summary["polarization"]):
+        print(f"  components of {polarization_text(summary['polarization'])}")
     print(
         f"sensor: central {across} x {down} pixels of {sensor['pixel_pitch_um']:g} µm; "
         f"{100.0 * summary['energy_share_beyond_pixel_limit']:.2g} % of the light lies above their Nyquist "

@@ -25,7 +25,7 @@ from wavesim.rays.scalar_light import scalar_light_term
 from wavesim.scene.engine import Engine, ErrorTerm, upper_bound
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.polarization import AUTO as AUTO_POLARIZATION
-from wavesim.scene.polarization import UNPOLARIZED, is_vector
+from wavesim.scene.polarization import UNPOLARIZED, is_vector, polarization_text
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import DEFAULT_ERROR
@@ -77,7 +77,7 @@ class Prediction:
             f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in self.settings.items()
         )
-        light = f" with {self.polarization} light" if is_vector(self.polarization) else ""
+        light = f" with {polarization_text(self.polarization)}" if is_vector(self.polarization) else ""
         return f"{self.engine} ({inside}){light}" if inside else f"{self.engine}{light}"
 
 

@@ -10,6 +10,7 @@ from lensdesign.errors import InputError
 from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Tiled
 from wavesim.scene.ghosts import coated_ghosts, ghost_of
+from wavesim.scene.polarization import is_vector
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import SettingError
 
@@ -38,6 +39,11 @@ class WithGhost(Engine):
     name = "with-ghost"
 
     def __init__(self, straight: Engine, reflectance: float | None = None) -> None:
+        if is_vector(straight.scene.polarization):
+            raise SettingError(
+                "{polarization}, {ghost}: coherent ghosts are computed for scalar waves only; omit them, or use "
+                "{polarization} scalar"
+            )
         super().__init__(straight.scene)
         if reflectance is not None and not 0.0 <= reflectance <= 1.0:
             raise InputError(f"ghost = {reflectance!r}: must be a fraction of the light, from 0 to 1")

@@ -17,6 +17,9 @@ from lensdesign.errors import InputError
 
 AUTO, SCALAR, UNPOLARIZED, CIRCULAR = "auto", "scalar", "unpolarized", "circular"
 NAMES = (AUTO, SCALAR, UNPOLARIZED, CIRCULAR)
+ALLOWED = (
+    f"must be one of {', '.join(NAMES)}, or the angle of linear polarization from x towards y in degrees"
+)
 
 Jones = tuple[complex, complex]
 ComplexArray = NDArray[np.complex128]
@@ -83,14 +86,20 @@ def components_of(polarization: str | float) -> tuple[Component, ...]:
     return Component(state, state), Component(state, crossed)
 
 
+def polarization_text(polarization: str | float) -> str:
+    """Return the kind of light in a few words."""
+    if not is_vector(polarization):
+        return "scalar waves"
+    if isinstance(polarization, str):
+        return {UNPOLARIZED: "unpolarized light", CIRCULAR: "circularly polarized light"}[polarization]
+    return f"linearly polarized light ({polarization:g} deg from x)"
+
+
 def validate_polarization(name: str, value: str | float) -> None:
     """Raise InputError unless a value is a polarization; see :func:`components_of`."""
     is_angle = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     if not (value in NAMES if isinstance(value, str) else is_angle):
-        raise InputError(
-            f"{name} = {value!r}: must be one of {', '.join(NAMES)}, or the angle of linear polarization "
-            "from x towards y in degrees"
-        )
+        raise InputError(f"{name} = {value!r}: {ALLOWED}")
 
 
 def read_polarization(name: str, text: str) -> str | float:

@@ -32,7 +32,7 @@ from lensdesign.common.option_groups import OptionGroup
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.scene.bench_settings import BenchSettings, Numbers, Pair
-from wavesim.scene.polarization import read_polarization
+from wavesim.scene.polarization import ALLOWED, read_polarization
 from wavesim.scene.scene import Scene
 
 STARTS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitude")}
@@ -296,7 +296,10 @@ class LightSettings(Settings):
     @field_validator("polarization")
     @classmethod
     def _known_polarization(cls, value: str) -> str:
-        read_polarization("polarization", value)
+        try:
+            read_polarization("polarization", value)
+        except InputError:
+            raise ValueError(ALLOWED) from None
         return value
 
     def lights(self, scene: Scene) -> Scene:

@@ -38,6 +38,16 @@ def test_the_default_finds_an_engine_for_the_papers_lens(choose: Command) -> Non
     taken = [p for p in found["predictions"] if p["engine"] == "eikonal"]
     assert min(p["relative_error"] for p in taken) <= DEFAULT_ERROR <= 0.05
     assert {"relative_error", "seconds", "peak_mb", "refused"} <= set(found["predictions"][0])
+    assert {p["polarization"] for p in found["predictions"]} == {"auto"}
+
+
+def test_components_are_chosen_where_the_error_of_scalar_waves_is_too_large(choose: Command) -> None:
+    code, out, err = choose(PAPER, "--patch-mm", "0.05", "--coating", "bare", "--error", "0.02", "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert (found["engine"], found["polarization"]) == ("eikonal", "unpolarized")
+    assert found["reason"].startswith("Scalar waves have a predicted error of 0.0")
+    assert {p["polarization"] for p in found["predictions"]} == {"unpolarized"}
 
 
 def test_errors_are_of_the_objects_light(choose: Command, twin_file: Path) -> None:

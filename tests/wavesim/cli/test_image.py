@@ -82,9 +82,34 @@ def test_results_are_replaced_and_what_else_is_there_stays(
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
+@pytest.mark.parametrize(("polarization", "words"), [("unpolarized", "unpolarized light"), (45.0, "45 deg")])
+def test_frames_of_polarized_light(
+    wavesim: Command, twin: Path, tmp_path: Path, polarization: str | float, words: str
+) -> None:
+    command = ("image", twin, *QUICK, "--plane-distance-mm", "0.1", "--no-noise", "--coating", "bare")
+    code, out, _ = wavesim(*command, "--polarization", polarization, "-o", tmp_path / "light")
+    assert code == 0
+    assert words in out
+    data = json.loads((tmp_path / "light/image.json").read_text())
+    assert (data["polarization"], data["coating"]) == (polarization, "bare")
+    assert wavesim(*command, "--polarization", "scalar", "-o", tmp_path / "scalar")[0] == 0
+    scalar = json.loads((tmp_path / "scalar/image.json").read_text())
+    assert scalar["polarization"] == "scalar"
+    found, expected = (read_frame(tmp_path / name / "frame_1.tif").counts for name in ("light", "scalar"))
+    assert 0 < np.max(np.abs(found.astype(int) - expected)) < 0.02 * expected.max()
+    limits = (one["energy_share_beyond_pixel_limit"] for one in (data, scalar))
+    assert next(limits) == pytest.approx(next(limits), rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        (("--polarization", "wobbly"), "--polarization = 'wobbly': must be one of auto, scalar"),
+        (("--polarization", "30", "--ghost", "0.01"), "--polarization, --ghost: a ghost is computed"),
+        (
+            ("--engine", "eikonal", "--polarization", "30", "--hierarchical"),
+            "hierarchical propagates scalar waves",
+        ),
         (("--object", "usef"), "object = 'usef'"),
         (("--object", "none.png", "--picture-pixel-um", 1), "cannot read the picture none.png"),
         (("--patch-mm", 1), "patch_mm = 1: must be above 0 and at most"),

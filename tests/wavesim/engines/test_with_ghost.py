@@ -107,3 +107,9 @@ def test_the_adjoint_of_coated_ghosts() -> None:
 def test_shares_that_are_none() -> None:
     with pytest.raises(InputError, match=r"ghost = .*: must be .* from 0 to 1"):
         WithGhost(ENGINE.straight, 1.5)
+
+
+def test_polarized_light_has_no_ghost() -> None:
+    polarized = FlatTiles(replace(SCENE, polarization="unpolarized"))
+    with pytest.raises(InputError, match="polarization, ghost: a ghost is computed for scalar waves only"):
+        WithGhost(polarized, 0.001)
