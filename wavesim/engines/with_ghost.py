@@ -41,8 +41,8 @@ class WithGhost(Engine):
     def __init__(self, straight: Engine, reflectance: float | None = None) -> None:
         if is_vector(straight.scene.polarization):
             raise SettingError(
-                "{polarization}, {ghost}: coherent ghosts are computed for scalar waves only; omit them, or use "
-                "{polarization} scalar"
+                "{polarization}, {ghost}: coherent ghosts are computed for scalar waves only; omit them, "
+                "or use {polarization} scalar"
             )
         super().__init__(straight.scene)
         if reflectance is not None and not 0.0 <= reflectance <= 1.0:

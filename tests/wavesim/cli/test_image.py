@@ -105,7 +105,7 @@ def test_frames_of_polarized_light(
     ("options", "message"),
     [
         (("--polarization", "wobbly"), "--polarization = 'wobbly': must be one of auto, scalar"),
-        (("--polarization", "30", "--ghost", "0.01"), "--polarization, --ghost: a ghost is computed"),
+        (("--polarization", "30", "--ghost", "0.01"), "--polarization, --ghost: coherent ghosts"),
         (
             ("--engine", "eikonal", "--polarization", "30", "--hierarchical"),
             "hierarchical propagates scalar waves",

@@ -111,5 +111,5 @@ def test_shares_that_are_none() -> None:
 
 def test_polarized_light_has_no_ghost() -> None:
     polarized = FlatTiles(replace(SCENE, polarization="unpolarized"))
-    with pytest.raises(InputError, match="polarization, ghost: a ghost is computed for scalar waves only"):
+    with pytest.raises(InputError, match="polarization, ghost: coherent ghosts"):
         WithGhost(polarized, 0.001)
