@@ -94,6 +94,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         "pixels": _first_given(supplement.pixels, draft.notes.get("pixels")),
         "plane_distances_mm": planes,
         "cover_glass": cover_glass,
+        "reflectance": draft.notes.get("reflectance"),
     }
     requested = supplement.numerical_aperture is not None
     stated = tuple(
@@ -101,7 +102,8 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     )
     rows, filled = _with_stop(rows, draft, values, catalogs, requested)
     surfaces = _surfaces(rows, draft)
-    missing = [name for name, value in values.items() if value is None and name != "cover_glass"]
+    optional = ("cover_glass", "reflectance")
+    missing = [name for name, value in values.items() if value is None and name not in optional]
     if missing:
         image = ""
         if "plane_distances_mm" in missing:
@@ -131,7 +133,7 @@ def _lens(
         "object": {k: values[k] for k in ("working_distance_mm", "field_diameter_mm", "numerical_aperture")},
         "sensor": {
             k: values[k]
-            for k in ("pixel_pitch_um", "pixels", "plane_distances_mm", "cover_glass")
+            for k in ("pixel_pitch_um", "pixels", "plane_distances_mm", "cover_glass", "reflectance")
             if values[k]
         },
         "surface": surfaces,

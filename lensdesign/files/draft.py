@@ -413,7 +413,9 @@ def note_lines(lens: Lens, pose: Pose, folder: Path) -> list[str]:
     if lens.edges:
         notes["edges"] = [edge.model_dump(mode="json", exclude_none=True) for edge in lens.edges]
     if lens.sensor.cover_glass is not None:
-        notes["cover_glass"] = lens.sensor.cover_glass.model_dump(mode="json")
+        notes["cover_glass"] = lens.sensor.cover_glass.model_dump(mode="json", exclude={"coating"})
+    if lens.sensor.reflectance is not None:
+        notes["reflectance"] = lens.sensor.reflectance
     if pose != Pose():
         notes["pose"] = asdict(pose)
     return [f"{NOTE} {key} {json.dumps(value)}" for key, value in notes.items()]
@@ -496,6 +498,10 @@ def omissions(lens: Lens, kind: str) -> tuple[str, ...]:
             notes.append(f"surface {i}: {kind} cannot contain its coating; omitted: {text}")
         if surface.roughness is not None:
             notes.append(f"surface {i}: {kind} cannot contain its roughness; omitted")
+    glass = lens.sensor.cover_glass
+    if glass is not None and glass.coating != "ideal":
+        text = coating_text(glass.coating, lens.wavelengths_um[0])
+        notes.append(f"cover glass: {kind} cannot contain its coating; omitted: {text}")
     return tuple(notes)
 
 

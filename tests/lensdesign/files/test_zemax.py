@@ -965,7 +965,8 @@ def test_a_cover_glass_is_written_as_two_planes_and_read_again(
     paper_lens, tmp_path, write, read, name, pose, material, distance
 ):
     glass = CoverGlass(thickness_mm=0.7, material=material, distance_mm=distance)
-    lens = paper_lens.replaced(sensor=paper_lens.sensor.replaced(cover_glass=glass))
+    sensor = paper_lens.sensor.replaced(cover_glass=glass, reflectance=0.1)
+    lens = paper_lens.replaced(sensor=sensor)
     write(lens, tmp_path / name, pose)
     found = read(tmp_path / name)
     assert found.lens == lens
