@@ -2,6 +2,7 @@ from .check import check_design
 from .coatings import CoatingReport, coating_report
 from .exit_beam import footprint, largest_spread_angle, observation_distance_mm, rms_spot_diameter
 from .form_error import form_errors, pv_rms_waves
+from .ghost_paths import GhostPath, GhostPaths, GhostSampling, ghost_paths
 from .ghosts import GhostReport, ghost_report
 from .moulding import MouldingCheck, moulding_checks
 from .paraxial import cardinal_points, first_order
@@ -13,7 +14,10 @@ from .space_bandwidth import match, spread_limit_sine
 __all__ = [
     "CheckReport",
     "CoatingReport",
+    "GhostPath",
+    "GhostPaths",
     "GhostReport",
+    "GhostSampling",
     "MouldingCheck",
     "RoughnessReport",
     "SagTable",
@@ -23,6 +27,7 @@ __all__ = [
     "first_order",
     "footprint",
     "form_errors",
+    "ghost_paths",
     "ghost_report",
     "largest_spread_angle",
     "match",

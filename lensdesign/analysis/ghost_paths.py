@@ -7,15 +7,19 @@ unpolarized light that an object point sends evenly over all direction cosines.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from lensdesign.lens.coatings.compiled import UniformCoating
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.lens.surface import Surface
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.ghosts import ghost_system
@@ -23,6 +27,34 @@ from lensdesign.raytrace.polarization import jones_matrices
 from lensdesign.raytrace.rays import RayTrace, trace_compiled
 
 SENSOR = "sensor"
+
+FOCUSED_IRRADIANCE = 0.01
+"""Relative irradiance above which a ghost counts as focused near a recording plane."""
+
+
+@dataclass(frozen=True)
+class GhostSampling:
+    """Rays by which ghosts are computed.
+
+    Attributes
+    ----------
+    fields
+        Number of object points from the axis to the edge of the field, along each axis.
+    rings
+        Number of rings of directions.
+    edge_width
+        Width over which the edges of apertures and of the sensor fade, relative to their half size. At 0 they
+        are sharp. With a positive width, powers have derivatives, for searches with few rays.
+
+    Examples
+    --------
+    >>> GhostSampling()
+    GhostSampling(fields=3, rings=12, edge_width=0.0)
+    """
+
+    fields: int = 3
+    rings: int = 12
+    edge_width: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -42,9 +74,14 @@ class GhostPath:
     focus_mm : float
         Distance of the paraxial image of the object's centre behind the plane; negative in front of it.
     radius_mm : float
-        Radius of an even disc with the same rms radius as the light of the object's centre on the plane.
+        Radius of an even disc with the same rms radius as the light of the object's centre on the plane; NaN
+        if none of this light arrives.
     relative_irradiance : float
         Mean irradiance over that disc, relative to that of the direct light over its own disc.
+
+    Examples
+    --------
+    See :func:`ghost_paths`.
     """
 
     first: str
@@ -67,6 +104,8 @@ class GhostPaths:
         For every recording plane, the paths in the order of their power, the strongest first.
     is_what_if : bool
         Whether surfaces count as bare because all coatings of the design are ideal.
+    includes_sensor : bool
+        Whether the design states the reflectance of the sensor, so that its paths are listed.
 
     Examples
     --------
@@ -75,6 +114,15 @@ class GhostPaths:
 
     paths: tuple[GhostPath, ...]
     is_what_if: bool
+    includes_sensor: bool
+
+    @property
+    def totals(self) -> dict[float, float]:
+        """Power of all ghosts on the sensor's area, relative to the direct light, by plane distance in mm."""
+        totals: dict[float, float] = {}
+        for path in self.paths:
+            totals[path.plane_distance_mm] = totals.get(path.plane_distance_mm, 0.0) + path.power_on_sensor
+        return totals
 
     def total(self, plane_distance_mm: float | None = None) -> float:
         """Return the power of all ghosts on the sensor's area, relative to the direct light.
@@ -84,19 +132,66 @@ class GhostPaths:
         plane_distance_mm
             Distance of the recording plane (default: the one with the largest total).
         """
-        totals: dict[float, float] = {}
-        for path in self.paths:
-            totals[path.plane_distance_mm] = totals.get(path.plane_distance_mm, 0.0) + path.power_on_sensor
         if plane_distance_mm is not None:
-            return totals[plane_distance_mm]
-        return max(totals.values(), default=0.0)
+            return self.totals[plane_distance_mm]
+        return max(self.totals.values(), default=0.0)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each recording plane near which a ghost is focused."""
+        sentences = []
+        for plane_distance_mm in self.totals:
+            focused = [
+                path
+                for path in self.paths
+                if path.plane_distance_mm == plane_distance_mm
+                and path.relative_irradiance > FOCUSED_IRRADIANCE
+            ]
+            if focused:
+                sentences.append(_focus_warning(focused))
+        return tuple(sentences)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {"bare_surfaces": self.is_what_if, "paths": [asdict(path) for path in self.paths]}
+        """Return plain values for JSON; values that are not finite become None."""
+        return {
+            "bare_surfaces": self.is_what_if,
+            "includes_sensor": self.includes_sensor,
+            "totals": [
+                {"plane_distance_mm": plane_mm, "power_on_sensor": power}
+                for plane_mm, power in self.totals.items()
+            ],
+            "warnings": list(self.warnings),
+            "paths": [
+                {key: finite_or_none(value) for key, value in asdict(path).items()} for path in self.paths
+            ],
+        }
 
 
-def ghost_paths(lens: Lens, wavelength_um: float | None = None) -> GhostPaths:
+def _focus_warning(focused: Sequence[GhostPath]) -> str:
+    """Return the warning of the ghosts that are focused near one plane."""
+    worst = max(focused, key=lambda path: path.relative_irradiance)
+    side = "in front of" if worst.focus_mm < 0.0 else "behind"
+    others = f" (and so are others, {len(focused)} paths in all)" if len(focused) > 1 else ""
+    movable = "the distance of the plane"
+    if any(name != SENSOR and not name.startswith("surface") for name in (worst.first, worst.second)):
+        movable += " or of the cover glass"
+    return (
+        f"the ghost {worst.first} - {worst.second} is focused {abs(worst.focus_mm):.3g} mm {side} the plane "
+        f"at {worst.plane_distance_mm:g} mm{others}: its irradiance is {worst.relative_irradiance:.2g} of "
+        f"that of the direct light over a radius of {worst.radius_mm:.3g} mm; reduce the reflectance of "
+        f"these surfaces by coatings, or change {movable}"
+    )
+
+
+def ghost_paths(
+    lens: Lens,
+    wavelength_um: float | None = None,
+    *,
+    pose: Pose = Pose(),
+    surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
+    sensor_poses: Sequence[Pose] = (),
+    sampling: GhostSampling = GhostSampling(),
+) -> GhostPaths:
     """Trace all paths with two reflections to every recording plane.
 
     Parameters
@@ -106,15 +201,25 @@ def ghost_paths(lens: Lens, wavelength_um: float | None = None) -> GhostPaths:
         are not listed. If all coatings are ideal, bare surfaces are assumed.
     wavelength_um
         Vacuum wavelength (default: the first of the design).
+    pose, surface_perturbations
+        Pose of the whole lens and perturbations of its surfaces, as in :func:`lensdesign.trace`, for a single
+        lens (default: nominal).
+    sensor_poses
+        Pose of the sensor with its cover glass for each recording plane (default: nominal). As for the whole
+        lens, the pivot is measured from the front vertex.
+    sampling
+        Rays by which the ghosts are computed.
 
     Raises
     ------
     InputError
-        If no ray passes the lens, or a coating's table ends before the angles of the rays.
+        If no ray passes the lens, a coating's table ends before the angles of the rays, or the number of
+        `sensor_poses` differs from that of the planes.
 
     Examples
     --------
     >>> from lensdesign import load_design
+    >>> from lensdesign.analysis import ghost_paths
     >>> lens = load_design("designs/paper_singlet.toml")
     >>> found = ghost_paths(lens)
     >>> strongest = found.paths[0]
@@ -122,15 +227,23 @@ def ghost_paths(lens: Lens, wavelength_um: float | None = None) -> GhostPaths:
     ('surface 2', 'surface 1', True)
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
-    is_what_if = all(surface.coating == "ideal" for surface in lens.surfaces) and (
-        lens.sensor.cover_glass is None or lens.sensor.cover_glass.coating == "ideal"
-    )
+    planes_mm = lens.sensor.plane_distances_mm
+    if sensor_poses and len(sensor_poses) != len(planes_mm):
+        raise InputError(
+            f"sensor_poses has {len(sensor_poses)} poses: must have one for each of the {len(planes_mm)} "
+            "recording planes"
+        )
+    is_what_if = has_ideal_coatings(lens)
     if is_what_if:
         lens = with_coating(lens, "bare")
     found: list[GhostPath] = []
-    for plane_distance_mm in lens.sensor.plane_distances_mm:
-        system, names = sensor_system(lens, wavelength, plane_distance_mm)
-        light = _Light(lens, system)
+    for plane_distance_mm, sensor_pose in zip(
+        planes_mm, sensor_poses or (Pose(),) * len(planes_mm), strict=True
+    ):
+        system, names = sensor_system(
+            lens, wavelength, plane_distance_mm, pose, surface_perturbations, sensor_pose
+        )
+        light = _Light(lens, system, sampling)
         paths = [
             light.path(names, front, back, plane_distance_mm)
             for back in range(system.surfaces)
@@ -138,20 +251,34 @@ def ghost_paths(lens: Lens, wavelength_um: float | None = None) -> GhostPaths:
             if names[back] != SENSOR or lens.sensor.reflectance
         ]
         found += sorted(paths, key=lambda path: -path.power)
-    return GhostPaths(tuple(found), is_what_if)
+    return GhostPaths(tuple(found), is_what_if, lens.sensor.reflectance is not None)
+
+
+def has_ideal_coatings(lens: Lens) -> bool:
+    """Return whether all surfaces of a lens, and of its cover glass, transmit all light."""
+    glass = lens.sensor.cover_glass
+    return all(surface.coating == "ideal" for surface in lens.surfaces) and (
+        glass is None or glass.coating == "ideal"
+    )
 
 
 def with_coating(lens: Lens, coating: str) -> Lens:
     """Return a lens whose surfaces, and the faces of its cover glass, all have a coating of this name."""
-    surfaces = tuple(surface.replaced(coating=coating) for surface in lens.surfaces)
+    surfaces = tuple(surface.model_copy(update={"coating": coating}) for surface in lens.surfaces)
     sensor = lens.sensor
     if sensor.cover_glass is not None:
         sensor = sensor.replaced(cover_glass=sensor.cover_glass.replaced(coating=coating))
-    return lens.replaced(surfaces=surfaces, sensor=sensor)
+    # Lenses of a search are not validated.
+    return lens.model_copy(update={"surfaces": surfaces, "sensor": sensor})
 
 
 def sensor_system(
-    lens: Lens, wavelength_um: float, plane_distance_mm: float
+    lens: Lens,
+    wavelength_um: float,
+    plane_distance_mm: float,
+    pose: Pose = Pose(),
+    surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
+    sensor_pose: Pose = Pose(),
 ) -> tuple[CompiledSystem, tuple[str, ...]]:
     """Return the surfaces of lens, cover glass and sensor for one recording plane, with their names.
 
@@ -162,10 +289,13 @@ def sensor_system(
     wavelength_um
         Vacuum wavelength.
     plane_distance_mm
-        Distance of the sensor from the exit vertex.
+        Nominal distance of the sensor from the exit vertex.
+    pose, surface_perturbations, sensor_pose
+        Deviations of a single lens and of the sensor; see :func:`ghost_paths`.
     """
     *front, last = lens.surfaces
-    names = [f"surface {number}" for number in range(1, len(lens.surfaces) + 1)]
+    count = len(lens.surfaces)
+    names = [f"surface {number}" for number in range(1, count + 1)]
     glass = lens.sensor.cover_glass_at(plane_distance_mm)
     behind = [Surface()]
     gap_mm = plane_distance_mm
@@ -180,42 +310,101 @@ def sensor_system(
             names.append("cover glass rear")
     names.append(SENSOR)
     least_gap_mm = 1e-9  # a plate that touches the exit vertex
-    bare_sensor = lens.sensor.replaced(cover_glass=None)
-    whole = lens.replaced(
-        surfaces=(*front, last.replaced(thickness_mm=max(gap_mm, least_gap_mm)), *behind),
-        sensor=bare_sensor,
-        edges=(),
-        moulding=None,
-    )
-    system = compile_system(whole, wavelength_um)
+    in_air = lens.model_copy(update={"sensor": lens.sensor.replaced(cover_glass=None)})
+    spaced = last.model_copy(update={"thickness_mm": max(gap_mm, least_gap_mm)})
+    whole = in_air.model_copy(update={"surfaces": (*front, spaced, *behind), "edges": (), "moulding": None})
+    nominal = compile_system(whole, wavelength_um)
+    sensor = _moved(nominal.part(count, nominal.surfaces), sensor_pose)
+    system = _joined(compile_system(in_air, wavelength_um, pose, surface_perturbations), sensor)
     coatings = (*system.coatings[:-1], UniformCoating(lens.sensor.reflectance or 0.0))
     return replace(system, coatings=coatings), tuple(names)
+
+
+def _moved(system: CompiledSystem, pose: Pose) -> CompiledSystem:
+    """Return surfaces that move with a pose."""
+    rotation, shift = pose.transform()
+    turned = np.ascontiguousarray(rotation[:, None] @ system.rotation)
+    return replace(
+        system,
+        rotation=turned,
+        vertex=np.ascontiguousarray(np.einsum("tij,tsj->tsi", rotation, system.vertex) + shift[:, None]),
+        tilted=np.any(turned != np.eye(3), axis=(0, 2, 3)),
+    )
+
+
+def _joined(lens: CompiledSystem, sensor: CompiledSystem) -> CompiledSystem:
+    """Return the surfaces of a single lens followed by those of its sensor."""
+    if lens.trials is not None or len(sensor.vertex) > 1:
+        raise InputError("ghosts are those of a single lens: poses and perturbations must be numbers")
+    return replace(
+        lens,
+        rotation=np.concatenate([lens.rotation, sensor.rotation], axis=1),
+        vertex=np.concatenate([lens.vertex, sensor.vertex], axis=1),
+        shapes=lens.shapes + sensor.shapes,
+        index=np.concatenate([lens.index, sensor.index[:, 1:]], axis=1),
+        semi_diameter=np.concatenate([lens.semi_diameter, sensor.semi_diameter]),
+        tilted=np.concatenate([lens.tilted, sensor.tilted]),
+        figures=lens.figures + sensor.figures,
+        coatings=lens.coatings + sensor.coatings,
+    )
 
 
 class _Light:
     """Rays of object points that pass the lens, and their direct light on the sensor."""
 
-    def __init__(self, lens: Lens, system: CompiledSystem) -> None:
-        self.lens, self.system = lens, system
-        origins, directions = field_rays(lens)
-        direct = trace_compiled(system, origins, directions, record_hits=True)
-        if not np.any(direct.ok):
+    def __init__(self, lens: Lens, system: CompiledSystem, sampling: GhostSampling) -> None:
+        self.lens, self.system, self.edge_width = lens, system, sampling.edge_width
+        origins, directions = field_rays(lens, sampling.fields, sampling.rings)
+        self.multiplicity = np.ones(len(origins))
+        if system.rotational:  # object points at -x and -y give the mirror images of those at x and y
+            mirrored = np.any(origins[:, :2] < 0.0, axis=1)
+            origins, directions = origins[~mirrored], directions[~mirrored]
+            self.multiplicity = np.where(np.any(origins[:, :2] > 0.0, axis=1), 2.0, 1.0)
+        passed = self._trace(system, origins, directions)[1] > 0.0
+        if not np.any(passed):
             raise InputError("no ray from the field passes the lens: there is no light for a ghost")
-        self.origins, self.directions = origins[direct.ok], directions[direct.ok]
-        self.direct = trace_compiled(system, self.origins, self.directions, record_hits=True)
-        self.power = jones_matrices(system, self.origins, self.direct).transmittance
+        self.origins, self.directions = origins[passed], directions[passed]
+        self.multiplicity = self.multiplicity[passed]
+        self.direct, weight = self._trace(system, self.origins, self.directions)
+        self.power = self._power(system, self.direct, weight)
         self.is_central = np.all(self.origins[:, :2] == 0.0, axis=1)
+
+    def _trace(self, system: CompiledSystem, origins: Array, directions: Array) -> tuple[RayTrace, Array]:
+        """Return rays, and the part of each (0 to 1) that all apertures transmit."""
+        rays = trace_compiled(system, origins, directions, clip=self.edge_width == 0.0, record_hits=True)
+        weight = rays.ok.astype(float)
+        if self.edge_width > 0.0:
+            assert rays.hits is not None  # they are recorded
+            for i in np.flatnonzero(np.isfinite(system.semi_diameter)):
+                own = (rays.hits[:, i] - system.vertex[0, i]) @ system.rotation[0, i]
+                height = np.where(rays.ok, np.hypot(own[:, 0], own[:, 1]), 0.0)
+                weight = weight * self._inside(height, float(system.semi_diameter[i]))
+        return rays, weight
+
+    def _power(self, system: CompiledSystem, rays: RayTrace, weight: Array) -> Array:
+        transmittance = np.nan_to_num(jones_matrices(system, self.origins, rays).transmittance)
+        return np.asarray(weight * self.multiplicity * transmittance)
+
+    def _inside(self, distance_mm: Array, half_mm: float) -> Array:
+        """Return 1 where a distance is within half a size, and 0 beyond, with the width of the edge."""
+        if self.edge_width == 0.0:
+            return (distance_mm <= half_mm).astype(float)
+        step = np.clip(0.5 + (half_mm - distance_mm) / (self.edge_width * half_mm), 0.0, 1.0)
+        return np.asarray(step**2 * (3.0 - 2.0 * step))
 
     def path(self, names: tuple[str, ...], front: int, back: int, plane_distance_mm: float) -> GhostPath:
         system = ghost_system(self.system, front, back)
-        rays = trace_compiled(system, self.origins, self.directions, record_hits=True)
-        power = np.nan_to_num(jones_matrices(system, self.origins, rays).transmittance) * rays.ok
+        rays, weight = self._trace(system, self.origins, self.directions)
+        power = self._power(system, rays, weight)
         total = float(np.sum(self.power))
-        half = 0.5 * np.array(self.lens.sensor.size_mm)
-        inside = np.all(np.abs(rays.position[:, :2]) <= half, axis=1)
+        x_mm, y_mm = np.abs(self._on_sensor(rays)[:, :2]).T
+        width_mm, height_mm = self.lens.sensor.size_mm
+        inside = self._inside(x_mm, 0.5 * width_mm) * self._inside(y_mm, 0.5 * height_mm)
         fraction = float(np.sum(power)) / total
         radius, direct_radius = self._radius_mm(rays, power), self._radius_mm(self.direct, self.power)
-        irradiance = fraction * (direct_radius / radius) ** 2 if radius > 0.0 else float("inf")
+        irradiance = 0.0 if math.isnan(radius) else math.inf  # no light, or all of it in one point
+        if radius > 0.0:
+            irradiance = fraction * (direct_radius / radius) ** 2
         return GhostPath(
             first=names[back],
             second=names[front],
@@ -227,23 +416,28 @@ class _Light:
             relative_irradiance=irradiance,
         )
 
+    def _on_sensor(self, rays: RayTrace) -> Array:
+        """Return the points on the sensor in its own frame."""
+        return np.asarray((rays.position - self.system.vertex[0, -1]) @ self.system.rotation[0, -1])
+
     def _radius_mm(self, rays: RayTrace, power: Array) -> float:
-        """Return the radius of an even disc with the rms radius of the central point's light."""
+        """Return the radius of an even disc with the rms radius of the central point's light; NaN without."""
         weight = power * self.is_central * rays.ok
         total = float(np.sum(weight))
         if total == 0.0:
-            return float("nan")
-        points = rays.position[:, :2]
+            return math.nan
+        points = self._on_sensor(rays)[:, :2]
         centre = weight @ points / total
         return float(np.sqrt(2.0 * (weight @ np.sum((points - centre) ** 2, axis=1)) / total))
 
     def _focus_mm(self, system: CompiledSystem) -> float:
-        """Return how far behind the sensor a paraxial ray from the object's centre meets the axis."""
+        """Return how far behind the sensor paraxial rays from the object's centre cross each other."""
         sine = 1e-6
-        start, heading = [[0.0, 0.0, self.lens.object_z_mm]], [[0.0, sine, np.sqrt(1.0 - sine**2)]]
-        ray = trace_compiled(system, start, heading, clip=False)
-        slope = ray.direction[0, 1] / ray.direction[0, 2]
-        return float(-ray.position[0, 1] / slope) if slope else float("inf")
+        headings = [[0.0, side * sine, np.sqrt(1.0 - sine**2)] for side in (1.0, -1.0)]
+        rays = trace_compiled(system, [[0.0, 0.0, self.lens.object_z_mm]] * 2, headings, clip=False)
+        height = rays.position[0, 1] - rays.position[1, 1]
+        slope = float(np.subtract(*(rays.direction[:, 1] / rays.direction[:, 2])))
+        return float(-height / slope) if slope else math.inf
 
 
 def field_rays(lens: Lens, fields: int = 3, rings: int = 24) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from lensdesign.analysis.ghost_paths import has_ideal_coatings
 from lensdesign.analysis.paraxial import FirstOrder, cardinal_points
 from lensdesign.analysis.space_bandwidth import spread_limit_sine
 from lensdesign.common.arrays import Array
@@ -20,6 +21,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.bundles import launch_compiled
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.ghosts import ghost_indices, ghost_order, ghost_system
+from lensdesign.raytrace.polarization import axial_reflection
 from lensdesign.raytrace.rays import trace_compiled
 
 
@@ -58,7 +60,7 @@ class GhostReport:
     Attributes
     ----------
     fraction : float
-        Fraction of the light that is left after both reflections (0 to 1).
+        Fraction of the light that is left after both reflections at normal incidence (0 to 1).
     efl_mm, bfl_mm : float
         Effective and back focal length of the ghost; see :class:`lensdesign.analysis.paraxial.FirstOrder`.
     on_planes : tuple of GhostOnPlane
@@ -91,6 +93,19 @@ def uncoated_ghost_fraction(lens: Lens, wavelength_um: float | None = None) -> f
     return float((first * last) ** 2)
 
 
+def ghost_fraction(lens: Lens, wavelength_um: float | None = None) -> float:
+    """Return the fraction of light left after reflection at both outer surfaces, at normal incidence.
+
+    The reflectances are those of the coatings of the design, or of uncoated surfaces if all coatings are
+    ideal, at a vacuum wavelength (default: the first of the lens).
+    """
+    if has_ideal_coatings(lens):
+        return uncoated_ghost_fraction(lens, wavelength_um)
+    system = compile_system(lens, lens.wavelengths_um[0] if wavelength_um is None else wavelength_um)
+    first, last = (axial_reflection(system, i) for i in (0, system.surfaces - 1))
+    return float(abs(first * last) ** 2)
+
+
 def ghost_first_order(lens: Lens, wavelength_um: float | None = None) -> FirstOrder:
     """Return the cardinal points for light that is reflected at the last and then at the first surface.
 
@@ -117,7 +132,8 @@ def ghost_report(
     lens
         The nominal lens.
     fraction
-        Fraction of the light that is left after both reflections (default: that of uncoated surfaces).
+        Fraction of the light that is left after both reflections (default: that of normal incidence, with the
+        coatings of the design, or of uncoated surfaces if all coatings are ideal).
     wavelength_um
         Vacuum wavelength (default: the first of the design).
 
@@ -139,7 +155,7 @@ def ghost_report(
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     if fraction is None:
-        fraction = uncoated_ghost_fraction(lens, wavelength)
+        fraction = ghost_fraction(lens, wavelength)
     if not 0.0 <= fraction <= 1.0:
         raise InputError(f"fraction of the ghost = {fraction!r}: must be from 0 to 1")
     direct = compile_system(lens, wavelength)

@@ -5,8 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lensdesign import Coating, CoatingLayer, CoverGlass, InputError, load_design
-from lensdesign.analysis.ghost_paths import field_rays, ghost_paths, sensor_system
+from lensdesign import (
+    Coating,
+    CoatingLayer,
+    CoverGlass,
+    InputError,
+    Pose,
+    SurfacePerturbation,
+    load_design,
+)
+from lensdesign.analysis import GhostSampling, ghost_paths
+from lensdesign.analysis.ghost_paths import field_rays, sensor_system
 from lensdesign.raytrace.ghosts import ghost_system
 from lensdesign.raytrace.polarization import jones_matrices
 from lensdesign.raytrace.rays import trace_compiled
@@ -180,3 +189,132 @@ def test_a_lens_that_passes_no_light_has_no_ghosts():
     )
     with pytest.raises(InputError, match="no ray from the field"):
         ghost_paths(narrow)
+
+
+def by_name(found):
+    """Paths in an order that does not depend on rounding of equal powers."""
+    return sorted(found.paths, key=lambda path: (path.plane_distance_mm, path.first, path.second))
+
+
+def same_light(one, other):
+    for a, b in zip(by_name(one), by_name(other), strict=True):
+        assert (a.first, a.second) == (b.first, b.second)
+        found = (a.power, a.power_on_sensor, a.radius_mm, a.relative_irradiance)
+        assert found == pytest.approx(
+            (b.power, b.power_on_sensor, b.radius_mm, b.relative_irradiance), rel=1e-6
+        )
+        assert a.focus_mm == pytest.approx(b.focus_mm, rel=1e-5)
+
+
+def with_lengths(lens, working_distance_mm=0.0, thickness_mm=0.0, planes_mm=0.0):
+    """The lens with changed distances, in place of poses and perturbations."""
+    moved = lens.with_surface(0, thickness_mm=lens.surfaces[0].thickness_mm + thickness_mm)
+    return moved.replaced(
+        object=lens.object.replaced(
+            working_distance_mm=lens.object.working_distance_mm + working_distance_mm
+        ),
+        sensor=lens.sensor.replaced(
+            plane_distances_mm=tuple(z + planes_mm for z in lens.sensor.plane_distances_mm)
+        ),
+    )
+
+
+def test_displaced_lenses_and_sensors_are_those_of_other_distances():
+    lens = with_sensor(PAPER)
+    away = ghost_paths(lens, sensor_poses=(Pose(despace_mm=0.25),) * 2)
+    same_light(away, ghost_paths(with_lengths(lens, planes_mm=0.25)))
+    nearer = ghost_paths(lens, pose=Pose(despace_mm=0.25))
+    same_light(nearer, ghost_paths(with_lengths(lens, working_distance_mm=0.25, planes_mm=-0.25)))
+    thicker = ghost_paths(lens, surface_perturbations={0: SurfacePerturbation(thickness_mm=0.25)})
+    same_light(thicker, ghost_paths(with_lengths(lens, thickness_mm=0.25, planes_mm=-0.25)))
+
+
+def test_a_system_that_turns_with_its_rays_has_the_same_ghosts():
+    lens = with_sensor(PAPER)
+    turned = Pose(0.1, -0.2, 0.05, tilt_x_deg=3.0, tilt_y_deg=-2.0, pivot_z_mm=4.0)
+    rotation, shift = (array[0] for array in turned.transform())
+    straight, names = sensor_system(lens, 0.532, 2.0)
+    moved, _ = sensor_system(lens, 0.532, 2.0, turned, None, turned)
+    origins, directions = field_rays(lens, fields=2, rings=4)
+    for front, back in ((0, 1), (0, 2), (1, 4), (2, 4)):
+        one, other = ghost_system(straight, front, back), ghost_system(moved, front, back)
+        rays = trace_compiled(one, origins, directions, record_hits=True)
+        origins_too, directions_too = origins @ rotation.T + shift, directions @ rotation.T
+        found = trace_compiled(other, origins_too, directions_too, record_hits=True)
+        assert np.array_equal(found.ok, rays.ok)
+        assert np.count_nonzero(rays.ok) > 40
+        assert found.position[rays.ok] == pytest.approx((rays.position @ rotation.T + shift)[rays.ok])
+        expected = jones_matrices(one, origins, rays).transmittance[rays.ok]
+        powers = jones_matrices(other, origins_too, found).transmittance[rays.ok]
+        assert powers == pytest.approx(expected, rel=1e-9)
+    assert len(names) == moved.surfaces
+
+
+def test_a_tilted_sensor_turns_the_light_that_it_reflects_away():
+    lens = with_sensor(PAPER)
+    tilted = tuple(
+        Pose(tilt_x_deg=8.0, pivot_z_mm=lens.exit_vertex_z_mm + z) for z in lens.sensor.plane_distances_mm
+    )
+    straight, found = (
+        {(p.first, p.second): p for p in ghost_paths(lens, sensor_poses=poses).paths[10:]}
+        for poses in ((), tilted)
+    )
+    between = ("sensor", "surface 1")
+    assert found[between].power_on_sensor < 0.97 * straight[between].power_on_sensor
+    inside = ("sensor", "cover glass rear")
+    assert found[inside].power_on_sensor == pytest.approx(straight[inside].power_on_sensor, rel=0.02)
+
+
+def test_a_sensor_beside_the_light_records_no_ghost():
+    lens = with_sensor(PAPER)
+    beside = ghost_paths(lens, sensor_poses=(Pose(decenter_x_mm=500.0),) * 2)
+    assert beside.total() == 0.0
+    assert [p.power for p in beside.paths] == pytest.approx([p.power for p in ghost_paths(lens).paths])
+
+
+def test_fading_edges_give_powers_that_change_smoothly():
+    lens = with_sensor(PAPER)
+    fading = GhostSampling(fields=2, rings=8, edge_width=0.1)
+
+    def powers(bend):
+        bent = lens.with_surface(1, radius_mm=-12.0 - bend)
+        return np.array(list(ghost_paths(bent, sampling=fading).totals.values()))
+
+    assert powers(0.0) == pytest.approx(list(ghost_paths(lens).totals.values()), rel=0.025)
+    start, near, far = powers(0.0), powers(1e-4), powers(2e-4)
+    assert np.all(near != start)
+    assert far - start == pytest.approx(2.0 * (near - start), rel=0.02)
+
+
+def test_mirror_images_of_object_points_are_counted():
+    """Only a rotationally symmetric system is traced from half of its object points."""
+    lens = with_sensor(PAPER)
+    hardly_moved = ghost_paths(lens, pose=Pose(decenter_x_mm=1e-12))
+    same_light(ghost_paths(lens), hardly_moved)
+
+
+def test_a_ghost_that_is_focused_near_a_plane_is_a_warning():
+    (warning,) = ghost_paths(with_sensor(PAPER)).warnings
+    assert "the ghost cover glass front - surface 1 is focused 0.508 mm in front of the plane at 2 mm" in (
+        warning
+    )
+    assert "its irradiance is 0.079 of that of the direct light" in warning
+    assert "or change the distance of the plane or of the cover glass" in warning
+    assert ghost_paths(PAPER).warnings == ()
+
+
+def test_values_for_json_have_totals_and_no_infinities():
+    found = ghost_paths(with_sensor(PAPER))
+    values = found.as_dict()
+    assert [one["power_on_sensor"] for one in values["totals"]] == [found.total(2.0), found.total(22.0)]
+    assert values["bare_surfaces"] is False
+    assert values["includes_sensor"] is True
+    assert values["warnings"] == list(found.warnings)
+    assert ghost_paths(PAPER).as_dict()["includes_sensor"] is False
+
+
+def test_impossible_displacements_are_refused():
+    with pytest.raises(InputError, match=r"sensor_poses has 1 poses: must have one for each of the 2"):
+        ghost_paths(PAPER, sensor_poses=(Pose(),))
+    with pytest.raises(InputError, match="ghosts are those of a single lens"):
+        ghost_paths(PAPER, pose=Pose(decenter_x_mm=np.zeros(3)))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lensdesign import load_design
-from lensdesign.analysis.ghosts import ghost_first_order, ghost_report
+from lensdesign import Coating, CoatingLayer, load_design, save_design
+from lensdesign.analysis import ghost_paths
+from lensdesign.analysis.ghosts import ghost_first_order, ghost_report, uncoated_ghost_fraction
 from lensdesign.cli.commands import app
 from lensdesign.errors import InputError
 
@@ -60,6 +62,22 @@ def test_the_share_of_a_coating_scales_irradiance() -> None:
         ghost_report(PAPER, 1.5)
 
 
+def coated(lens, *coatings):
+    surfaces = (s.replaced(coating=c) for s, c in zip(lens.surfaces, coatings, strict=True))
+    return lens.replaced(surfaces=tuple(surfaces))
+
+
+def test_the_fraction_is_that_of_the_coatings_at_normal_incidence() -> None:
+    film_index = 1.38
+    quarter_wave = Coating(layers=(CoatingLayer(index=film_index, thickness_nm=532.0 / (4.0 * film_index)),))
+    bare, film = ((N - 1.0) / (N + 1.0)) ** 2, ((N - film_index**2) / (N + film_index**2)) ** 2
+    assert ghost_report(PAPER).fraction == pytest.approx(bare**2, rel=1e-12)
+    assert ghost_report(coated(PAPER, "bare", "bare")).fraction == pytest.approx(bare**2, rel=1e-12)
+    assert ghost_report(coated(PAPER, quarter_wave, "bare")).fraction == pytest.approx(bare * film, rel=1e-9)
+    assert ghost_report(coated(PAPER, "bare", "ideal")).fraction == 0.0
+    assert uncoated_ghost_fraction(coated(PAPER, "bare", "ideal")) == pytest.approx(bare**2, rel=1e-12)
+
+
 def test_a_ghost_that_comes_to_a_focus_on_a_plane_is_brighter_than_the_light_beside_it() -> None:
     """As of a pair of catalogue lenses: no fringes have a contrast above 1."""
     near = ghost_report(load_design("designs/stock_pair.toml")).on_planes[0]
@@ -67,11 +85,50 @@ def test_a_ghost_that_comes_to_a_focus_on_a_plane_is_brighter_than_the_light_bes
     assert 0.5 < near.contrast <= 1.0
 
 
+def run(*arguments) -> str:
+    outcome = CliRunner().invoke(app, ["ghost", *map(str, arguments)])
+    assert outcome.exit_code == 0, outcome.output
+    return outcome.stdout
+
+
 def test_command() -> None:
-    shown = CliRunner().invoke(app, ["ghost", "designs/paper_singlet.toml"])
-    assert shown.exit_code == 0, shown.output
-    assert "effective and back focal length of the ghost 8.609, -16.52 mm" in shown.stdout
-    rows = [line.split() for line in shown.stdout.splitlines()[-4:]]
+    shown = run("designs/paper_singlet.toml")
+    assert "fraction of the light at normal incidence 0.00181" in shown
+    assert "effective and back focal length of the ghost 8.609, -16.52 mm" in shown
+    rows = [line.split() for line in shown.splitlines()[-4:]]
     assert [row[:2] for row in rows] == [["2", "0"], ["2", "1.5"], ["22", "0"], ["22", "1.5"]]
-    outcome = CliRunner().invoke(app, ["ghost", "designs/paper_singlet.toml", "--share", "1e-4", "--json"])
-    assert json.loads(outcome.stdout)["share"] == 1e-4
+    assert "all coatings of the design are ideal" in shown
+    assert "add reflectance = 0.05" in shown
+    found = ghost_paths(PAPER)
+    assert f"all ghosts on the sensor: {found.total(2.0):.3g} at 2 mm, {found.total(22.0):.3g} at 22" in shown
+    values = json.loads(run("designs/paper_singlet.toml", "--share", "1e-4", "--json"))
+    assert values["share"] == 1e-4
+    assert {"efl_mm", "bfl_mm", "on_planes"} < values.keys()
+    assert values["ghost_paths"] == found.as_dict()
+
+
+def test_command_of_a_design_with_coatings_cover_glass_and_a_reflectance(tmp_path) -> None:
+    text = (
+        "reflectance = 0.05\n"
+        '[sensor.cover_glass]\nthickness_mm = 0.7\nmaterial = "N-BK7"\ndistance_mm = 0.5\ncoating = "bare"\n'
+    )
+    path = tmp_path / "lens.toml"
+    path.write_text(
+        Path("designs/paper_singlet.toml").read_text().replace("\n\n[[surface]]", f"\n{text}\n[[surface]]", 1)
+    )
+    shown = run(path)
+    assert "all coatings of the design are ideal" not in shown
+    assert "missing" not in shown
+    assert "warning" not in shown
+    assert "cover glass rear  cover glass front" in shown
+    assert "surface 1" not in shown
+    assert "via surfaces with an ideal coating, are not listed" in shown
+    lens = load_design(path)
+    assert (lens.sensor.reflectance, lens.sensor.cover_glass.coating) == (0.05, "bare")
+    save_design(coated(lens, "bare", "bare"), path)
+    assert load_design(path) == coated(lens, "bare", "bare")
+    shown = run(path)
+    row = next(line.split() for line in shown.splitlines() if "cover glass front  surface 1" in line)
+    assert row == "2 cover glass front surface 1 0.0013 0.0013 0.078 -0.508 1.19".split()
+    )
+    assert "warning: the ghost cover glass front - surface 1 is focused" in shown
