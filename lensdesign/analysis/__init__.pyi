@@ -1,8 +1,8 @@
 from .check import check_design
 from .coatings import CoatingReport, coating_report
+from .double_reflections import GhostPath, GhostPaths, GhostSampling, ghost_paths
 from .exit_beam import footprint, largest_spread_angle, observation_distance_mm, rms_spot_diameter
 from .form_error import form_errors, pv_rms_waves
-from .ghost_paths import GhostPath, GhostPaths, GhostSampling, ghost_paths
 from .ghosts import GhostReport, ghost_report
 from .moulding import MouldingCheck, moulding_checks
 from .paraxial import cardinal_points, first_order

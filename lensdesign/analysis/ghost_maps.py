@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from lensdesign.analysis.ghost_paths import SENSOR, sensor_system
+from lensdesign.analysis.double_reflections import SENSOR, sensor_system
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -29,7 +29,7 @@ class GhostMap:
     ----------
     first, second : str
         Surfaces in the order in which they reflect; see
-        :class:`lensdesign.analysis.ghost_paths.GhostPath`.
+        :class:`lensdesign.analysis.double_reflections.GhostPath`.
     fractions : ndarray, shape (cells, cells)
         Power in every cell as a fraction of that of the direct light on the whole plane; y increases with the
         row, x with the column.
@@ -95,7 +95,7 @@ def ghost_maps(
     --------
     >>> import numpy as np
     >>> from lensdesign import load_design
-    >>> from lensdesign.analysis.ghost_paths import with_coating
+    >>> from lensdesign.analysis.double_reflections import with_coating
     >>> lens = with_coating(load_design("designs/paper_singlet.toml"), "bare")
     >>> (found,) = ghost_maps(lens, np.zeros((1, 2)), np.ones(1), 2.0, lens.sensor.size_mm, rays=4000)
     >>> found.first, found.second, 0.005 < found.power < 0.02

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.analysis.ghost_paths import has_ideal_coatings
+from lensdesign.analysis.double_reflections import has_ideal_coatings
 from lensdesign.analysis.paraxial import FirstOrder, cardinal_points
 from lensdesign.analysis.space_bandwidth import spread_limit_sine
 from lensdesign.common.arrays import Array

@@ -14,7 +14,7 @@ from lensdesign.common.options import Design, Json
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lensdesign.analysis.ghost_paths import GhostPath, GhostPaths
+    from lensdesign.analysis.double_reflections import GhostPath, GhostPaths
     from lensdesign.analysis.ghosts import GhostOnPlane, GhostReport
     from lensdesign.lens.lens import Lens
 
@@ -45,7 +45,7 @@ def ghost(
     the outer surfaces of the lens is coherent with the directly transmitted light. The sensor records
     interference fringes that are wider than two pixels.
     """
-    from lensdesign.analysis.ghost_paths import ghost_paths
+    from lensdesign.analysis.double_reflections import ghost_paths
     from lensdesign.analysis.ghosts import ghost_report
     from lensdesign.common.lengths import WAVELENGTH_UM, validate_length
     from lensdesign.files.design import load_design

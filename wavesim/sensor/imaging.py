@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lensdesign.analysis.ghost_paths import with_coating
+from lensdesign.analysis.double_reflections import with_coating
 from lensdesign.analysis.roughness import RoughnessReport, RoughnessWarning
 from lensdesign.common.arrays import Array
 from lensdesign.common.given import FilePath, object_of

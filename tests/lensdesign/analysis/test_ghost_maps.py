@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lensdesign import CoverGlass, InputError, load_design
+from lensdesign.analysis.double_reflections import ghost_paths, with_coating
 from lensdesign.analysis.ghost_maps import added, ghost_maps
-from lensdesign.analysis.ghost_paths import ghost_paths, with_coating
 
 PAPER = load_design("designs/paper_singlet.toml")
 CENTRE = np.zeros((1, 2)), np.ones(1)

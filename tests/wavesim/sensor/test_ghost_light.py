@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lensdesign import CoverGlass, InputError, load_design, scaled
+from lensdesign.analysis.double_reflections import with_coating
 from lensdesign.analysis.ghost_maps import ghost_maps
-from lensdesign.analysis.ghost_paths import with_coating
 from wavesim import Field, image
 from wavesim.sensor.ghost_light import ghost_light
 

@@ -49,11 +49,11 @@ class GhostSampling:
     Examples
     --------
     >>> GhostSampling()
-    GhostSampling(fields=3, rings=12, edge_width=0.0)
+    GhostSampling(fields=3, rings=24, edge_width=0.0)
     """
 
     fields: int = 3
-    rings: int = 12
+    rings: int = 24
     edge_width: float = 0.0
 
 
