@@ -1,6 +1,7 @@
 from .base import Merit
 from .compensators import Compensator
 from .context import Context, Sampling
+from .ghosts import GhostFraction
 from .line_pairs import LinePairContrast
 from .pupil import ImageShift, ModulationTransfer, PupilMerit, RmsWaves, SmallestResolvedLine, Strehl
 from .python import PythonMerit, Trial
@@ -14,6 +15,7 @@ __all__ = [
     "Compensator",
     "Context",
     "FootprintRadius",
+    "GhostFraction",
     "ImageShift",
     "LargestSpread",
     "LinePairContrast",

@@ -6,6 +6,7 @@ from typing import Any
 
 from lensdesign.common.toml_files import pick, validate
 from tolerancing.merits.base import Merit
+from tolerancing.merits.ghosts import GhostFraction
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.merits.pupil import (
     ImageShift,
@@ -32,6 +33,7 @@ MERITS: dict[str, type[Merit]] = {
     "throughput": Throughput,
     "transmittance": Transmittance,
     "scattered_fraction": ScatteredFraction,
+    "ghost_fraction": GhostFraction,
     "strehl": Strehl,
     "rms_waves": RmsWaves,
     "line_pair_contrast": LinePairContrast,
