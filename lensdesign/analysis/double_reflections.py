@@ -40,8 +40,8 @@ class GhostSampling:
     ----------
     fields
         Number of object points from the axis to the edge of the field, along each axis.
-    rings
-        Number of rings of directions.
+    directions
+        Number of directions of the rays from each object point, a multiple of 4.
     edge_width
         Width over which the edges of apertures and of the sensor fade, relative to their half size. At 0 they
         are sharp. With a positive width, powers have derivatives, for searches with few rays.
@@ -49,11 +49,11 @@ class GhostSampling:
     Examples
     --------
     >>> GhostSampling()
-    GhostSampling(fields=3, rings=24, edge_width=0.0)
+    GhostSampling(fields=3, directions=2000, edge_width=0.0)
     """
 
     fields: int = 3
-    rings: int = 24
+    directions: int = 2000
     edge_width: float = 0.0
 
 
@@ -354,7 +354,7 @@ class _Light:
 
     def __init__(self, lens: Lens, system: CompiledSystem, sampling: GhostSampling) -> None:
         self.lens, self.system, self.edge_width = lens, system, sampling.edge_width
-        origins, directions = field_rays(lens, sampling.fields, sampling.rings)
+        origins, directions = field_rays(lens, sampling.fields, sampling.directions)
         self.multiplicity = np.ones(len(origins))
         if system.rotational:  # object points at -x and -y give the mirror images of those at x and y
             mirrored = np.any(origins[:, :2] < 0.0, axis=1)
@@ -440,8 +440,11 @@ class _Light:
         return float(-height / slope) if slope else math.inf
 
 
-def field_rays(lens: Lens, fields: int = 3, rings: int = 24) -> tuple[Array, Array]:
+def field_rays(lens: Lens, fields: int = 3, directions: int = 2000) -> tuple[Array, Array]:
     """Return rays of object points along x and y, evenly over the direction cosines of the aperture.
+
+    The directions of each point are mirror images of each other in x and in y. All others have different
+    angles to the axis, so that sums change little as rays cross an edge.
 
     Parameters
     ----------
@@ -449,17 +452,19 @@ def field_rays(lens: Lens, fields: int = 3, rings: int = 24) -> tuple[Array, Arr
         The nominal lens.
     fields
         Number of object points from the axis to the edge of the field, along each axis.
-    rings
-        Number of rings of directions.
+    directions
+        Number of directions of each point, a multiple of 4.
     """
     height = lens.half_field_mm * np.sqrt(np.linspace(0.0, 1.0, fields))
     points = [(0.0, 0.0)] + [p for h in height[1:] for p in ((h, 0.0), (0.0, h), (-h, 0.0), (0.0, -h))]
     # Directions of the edge of the field are a little steeper than the aperture on the axis.
     reach = min(0.999, 1.2 * lens.object.numerical_aperture)
-    radius = reach * np.sqrt((np.arange(rings) + 0.5) / rings)
-    angle = 2.0 * np.pi * np.arange(4 * rings) / (4 * rings)
-    cosines = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))], axis=-1)
-    cosines = cosines.reshape(-1, 2)
+    golden = 0.5 * (math.sqrt(5.0) - 1.0)
+    index = np.arange(directions // 4) + 0.5
+    radius = reach * np.sqrt(index / len(index))
+    angle = 0.5 * np.pi * np.mod(golden * index, 1.0)
+    quadrant = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    cosines = np.concatenate([quadrant * signs for signs in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
     headings = np.column_stack([cosines, np.sqrt(1.0 - np.sum(cosines**2, axis=1))])
     starts = np.column_stack([np.array(points), np.full(len(points), lens.object_z_mm)])
     return np.repeat(starts, len(headings), axis=0), np.tile(headings, (len(starts), 1))

@@ -20,7 +20,7 @@ class GhostFraction(Merit):
     """Power of all ghosts on the sensor's area relative to the direct light, on the worst recording plane.
 
     It is the total of :func:`lensdesign.analysis.double_reflections.ghost_paths` for the perturbed lens and
-    sensor, computed with 12 rings of rays. Surfaces count as bare if all coatings of the design are ideal.
+    sensor, computed with 600 directions. Surfaces count as bare if all coatings of the design are ideal.
     """
 
     levels: ClassVar[tuple[str, ...]] = ("ray",)
@@ -69,6 +69,6 @@ def _ghost_fraction(lens: Lens, wavelength_um: float, state: SystemState) -> flo
         pose=pose,
         surface_perturbations=state.surface_perturbations,
         sensor_poses=sensor_poses,
-        sampling=GhostSampling(rings=12),
+        sampling=GhostSampling(directions=600),
     )
     return found.total()

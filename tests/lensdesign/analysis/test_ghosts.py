@@ -129,5 +129,5 @@ def test_command_of_a_design_with_coatings_cover_glass_and_a_reflectance(tmp_pat
     assert load_design(path) == coated(lens, "bare", "bare")
     shown = run(path)
     row = next(line for line in shown.splitlines() if "cover glass front  surface 1" in line)
-    assert row.split()[5:9] == ["1", "0.0013", "0.0013", "0.053"]
+    assert row.split()[5:9] == ["1", "0.0013", "0.0013", "0.056"]
     assert "warning: the ghost cover glass front - surface 1 is focused" in shown

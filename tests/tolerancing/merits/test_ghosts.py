@@ -30,7 +30,7 @@ def scores(lens, targets, values):
 
 
 def total(lens):
-    return ghost_paths(lens, sampling=GhostSampling(rings=12)).total()
+    return ghost_paths(lens, sampling=GhostSampling(directions=600)).total()
 
 
 def with_lengths(lens, working_distance_mm=0.0, planes_mm=0.0):
