@@ -17,6 +17,7 @@ from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_built
 from lensdesign.optimization.nlopt_driver import Evaluation
+from lensdesign.optimization.operands.ghosts import GhostValues, ghost_values
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Operand, State
 from lensdesign.optimization.operands.requirements import constraint_operands, goal_operands
@@ -126,6 +127,7 @@ class DesignProblem:
         self._last: tuple[bytes, Lens] | None = None
         self._as_built: tuple[tuple[bytes, bool], AsBuiltValues] | None = None
         self._losses: tuple[tuple[bytes, bool], LossValues] | None = None
+        self._ghosts: tuple[tuple[bytes, bool], GhostValues] | None = None
         self._hot: tuple[tuple[bytes, bool], HeatedLens] | None = None
         self.temperature_change, self.heated = self._temperatures(temperature_c)
 
@@ -201,7 +203,9 @@ class DesignProblem:
 
     @cached_property
     def _cold(self) -> DesignProblem:
-        bare = self.specification.model_copy(update={"environment": None, "tolerances": None})
+        bare = self.specification.without_ghosts().model_copy(
+            update={"environment": None, "tolerances": None}
+        )
         return DesignProblem(bare, self.base)
 
     @cached_property
@@ -226,6 +230,7 @@ class DesignProblem:
             None if change is None else change.expansion_factors,
             tuple(other.state(point, given, derivatives) for other in self.heated),
             self.losses(point, derivatives),
+            self.ghosts(point, derivatives),
         )
 
     def trace(
@@ -345,6 +350,28 @@ class DesignProblem:
         if self._losses is None or self._losses[0] != key:
             self._losses = key, self._tolerances.losses(self, point, derivatives)
         return self._losses[1]
+
+    def ghosts(self, point: Array, derivatives: bool = True) -> GhostValues | None:
+        """Return the power of ghosts of the lens as designed; None if not needed, or at a temperature."""
+        if not self.specification.asks_ghosts or self.temperature_change is not None:
+            return None
+        key = point.tobytes(), derivatives
+        if self._ghosts is None or self._ghosts[0] != key:
+            self._ghosts = key, ghost_values(self._lens_with_apertures, point, self.width, derivatives)
+        return self._ghosts[1]
+
+    def _lens_with_apertures(self, point: Array) -> Lens:
+        """Return the lens at a point, not validated, with the apertures that its rays need."""
+        state = self._cold.state(point, self._rim, derivatives=False)
+        surfaces = list(state.lens.surfaces)
+        for i, surface in enumerate(surfaces):
+            semi = surface.semi_diameter_mm
+            if i == state.lens.stop_index:
+                semi = state.traces[0].stop_semi_diameter_mm
+            elif semi is None:
+                semi = float(np.max(_heights_mm(state, i), initial=0.0)) or None
+            surfaces[i] = surface.model_copy(update={"semi_diameter_mm": semi})
+        return state.lens.model_copy(update={"surfaces": tuple(surfaces)})
 
     def rows(
         self, point: Array, rays: Rays, final: bool = False, derivatives: bool = True

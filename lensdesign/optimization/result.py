@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lensdesign.analysis.double_reflections import ghost_paths
 from lensdesign.analysis.report import CheckReport, WavelengthCheck
 from lensdesign.common.deadlines import deadline, now
 from lensdesign.common.notebook import html_table
@@ -25,7 +26,12 @@ from lensdesign.optimization.limits.search import LimitsInterrupted, binding
 from lensdesign.optimization.local_search import SearchResult
 from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.problem import finished_lens
-from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LARGEST, LOSS_GOAL
+from lensdesign.optimization.specification.sections import (
+    AS_BUILT_GOALS,
+    GHOST_GOAL,
+    LARGEST,
+    LOSS_GOAL,
+)
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.stop_rules import Ending
 from lensdesign.optimization.specification_check import at_temperatures, check_against
@@ -260,7 +266,7 @@ def _result(
         if ending.interrupted:
             raise KeyboardInterrupt(f"interrupted; nothing was written: {error}") from None
         sentences = [*unfinished, str(error)]
-        if not specification.asks_losses:
+        if not (specification.asks_losses or specification.asks_ghosts):
             sentences.append(can().in_words(specification.required_object))
         raise DesignError("; ".join(sentences)) from None
     unchecked: list[str] = []
@@ -273,8 +279,9 @@ def _result(
             ending.built = _as_built(specification, lens)
     built = ending.built
     check = check_against(lens, specification.without_as_built() if unchecked else specification, built)
-    # A search for the feasibility limit takes too long if each lens needs reconstructions.
-    if not check.feasible and reach is None and not specification.asks_losses:
+    # A search for the feasibility limit takes too long if each lens needs reconstructions or ghosts.
+    takes_too_long = specification.asks_losses or specification.asks_ghosts
+    if not check.feasible and reach is None and not takes_too_long:
         if searched and now() < ending.end:
             reach = can()
         elif searched:
@@ -415,6 +422,8 @@ def _shown_goal(
 ) -> tuple[float, str]:
     """Return the goal of the finished lens; without trials, goals of lenses as built are predicted."""
     goal, study = specification.optimize.goal, specification.as_built
+    if goal == GHOST_GOAL:
+        return ghost_paths(lens).total(), ""
     if built is not None:
         return _built_goal(specification, goals, built)
     if goal not in AS_BUILT_GOALS or study is None:

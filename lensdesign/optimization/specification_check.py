@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from lensdesign.analysis.check import ROUNDING, capped_sine, check_design, constraint
+from lensdesign.analysis.double_reflections import ghost_paths
 from lensdesign.analysis.exit_beam import largest_spread_angle, spread_angle_and_footprints
 from lensdesign.analysis.outline import drawn_edge_thicknesses_mm
 from lensdesign.analysis.report import CheckReport, Constraint
@@ -73,6 +74,7 @@ def check_against(
         *_thicknesses(judged, specification),
         *_lengths(judged, specification),
         *_slopes(judged, specification),
+        *_ghosts(judged, specification),
         *_light_in_heat(judged, specification),
         *_as_built(judged, specification, built),
     )
@@ -243,6 +245,12 @@ def _slopes(lens: Lens, specification: Specification) -> list[Constraint]:
         limit = specification.constraints.max_edge_slope_deg
         rows.append(_at_most(f"slope at the edge of surface {number}", steepest, limit, "deg"))
     return rows
+
+
+def _ghosts(lens: Lens, specification: Specification) -> list[Constraint]:
+    """Return the constraint on the power of ghosts on the worst plane."""
+    most = specification.constraints.max_ghost_fraction
+    return [] if most is None else [_at_most("ghost fraction", ghost_paths(lens).total(), most, "")]
 
 
 def _as_built(lens: Lens, specification: Specification, built: AsBuiltReport | None) -> list[Constraint]:

@@ -11,6 +11,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.as_built import AsBuiltValues, LossValues
 from lensdesign.optimization.nlopt_driver import UNTRACEABLE
+from lensdesign.optimization.operands.ghosts import GhostValues
 from lensdesign.raytrace.gradients import GradientTrace, Variable
 
 LIMIT_MARGIN = 3e-5
@@ -44,6 +45,8 @@ class State:
         The lens at the other temperatures of the specification.
     losses
         Mean reconstruction losses as built; None if not needed.
+    ghosts
+        Power of ghosts on the sensor; None if not needed.
     """
 
     lens: Lens
@@ -55,6 +58,7 @@ class State:
     expansion_factors: Array | None = None
     heated: tuple[State, ...] = ()
     losses: LossValues | None = None
+    ghosts: GhostValues | None = None
 
     @property
     def all(self) -> tuple[State, ...]:

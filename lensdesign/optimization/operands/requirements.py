@@ -13,6 +13,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
 from lensdesign.optimization.nlopt_driver import UNTRACEABLE
+from lensdesign.optimization.operands.ghosts import GHOST_MARGIN
 from lensdesign.optimization.operands.glass import glass_operands, lens_thickness, track
 from lensdesign.optimization.operands.operand import (
     LIMIT_MARGIN,
@@ -22,7 +23,7 @@ from lensdesign.optimization.operands.operand import (
     heights_of,
     squares_of,
 )
-from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LARGEST, LOSS_GOAL
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, GHOST_GOAL, LARGEST, LOSS_GOAL
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.variables import LENGTHS
 from lensdesign.raytrace.gradients import GradientTrace
@@ -34,6 +35,10 @@ def goal_operands(specification: Specification, state: State) -> list[Operand]:
     lens: Lens = specification  # the start lens, a fixed reference for scaling
     if goal in AS_BUILT_GOALS:
         return [_as_built_goal(goal, one) for one in state.all]
+    if goal == GHOST_GOAL:
+        assert state.ghosts is not None  # the goal requires them
+        scale = 0.01  # power of ghosts by which the goal is scaled
+        return [finite_operand(goal, state.ghosts.fractions / scale, state.ghosts.fractions_by / scale)]
     if goal.startswith("smallest spread"):
         widest = _sine(lens, max(lens.wavelengths_um))
         own = goal == "smallest spread"
@@ -74,7 +79,8 @@ def constraint_operands(specification: Specification, state: State, final: bool 
     If the goal minimizes the limited spread itself, the spread limit applies to the `final` lens only.
     """
     built = [row for one in state.all for row in _as_built_rows(specification, one)]
-    return ray_constraint_operands(specification, state, final) + glass_operands(specification, state) + built
+    own = glass_operands(specification, state) + _ghost_rows(specification, state)
+    return ray_constraint_operands(specification, state, final) + own + built
 
 
 def ray_constraint_operands(specification: Specification, state: State, final: bool = False) -> list[Operand]:
@@ -143,6 +149,22 @@ def _loss_rows(specification: Specification, state: State) -> list[Operand]:
         return []
     name = named_at(LOSS_GOAL, state.temperature_c)
     return [finite_operand(name, found.losses / most - 1.0, found.losses_by / most)]
+
+
+def _ghost_rows(specification: Specification, state: State) -> list[Operand]:
+    """Return the constraint on the power of ghosts, for each sensor plane."""
+    most, found = specification.constraints.max_ghost_fraction, state.ghosts
+    if most is None or found is None:
+        return []
+    tightened = most * (1.0 - GHOST_MARGIN)
+    return [
+        finite_operand(
+            f"ghost fraction on sensor plane {i + 1}",
+            np.array([fraction / tightened - 1.0]),
+            by[None] / tightened,
+        )
+        for i, (fraction, by) in enumerate(zip(found.fractions, found.fractions_by, strict=True))
+    ]
 
 
 def _limits_its_goal(specification: Specification) -> bool:

@@ -67,6 +67,9 @@ class Constraints(FrozenModel):
         Largest wavefront error as built, root mean square over pupil and lenses, at each object point.
     max_as_built_reconstruction_loss
         Largest mean over lenses as built of each merit `reconstruction_loss` of the study.
+    max_ghost_fraction
+        Largest power of all ghosts on the sensor relative to the direct light, on each sensor plane, for the
+        lens as designed at its first wavelength. Surfaces count as bare if all coatings are ideal.
     """
 
     max_spread_deg: Annotated[float, Field(gt=0.0, lt=90.0)] | Literal["sensor", "none"] = "sensor"
@@ -86,6 +89,7 @@ class Constraints(FrozenModel):
     min_yield: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     max_as_built_rms_waves: Positive | None = None
     max_as_built_reconstruction_loss: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    max_ghost_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
 
 
 class Tolerances(FrozenModel):
@@ -153,6 +157,9 @@ class Environment(FrozenModel):
 LOSS_GOAL = "as-built reconstruction loss"
 """Goal that needs a merit `reconstruction_loss`."""
 
+GHOST_GOAL = "smallest ghost fraction"
+"""Goal that minimizes the power of ghosts on the sensor."""
+
 AS_BUILT_GOALS = ("as-built rms", "yield", LOSS_GOAL)
 """Goals that need tolerances."""
 
@@ -170,8 +177,9 @@ class Settings(FrozenModel):
         ``smallest spread`` (the largest ratio of spread to limit over the wavelengths, Eq. 2),
         ``smallest spread angle`` (the largest angle at any wavelength), ``thinnest lens``,
         ``smallest aperture``, ``shortest track`` (object to last sensor plane), ``longest working distance``
-        and ``largest field`` (which must be a variable), ``as-built rms`` (the largest wavefront error of
-        built lenses at the tolerances' object points), ``yield`` (the fraction of lenses that keep all limits
+        and ``largest field`` (which must be a variable), ``smallest ghost fraction`` (the power of all ghosts
+        on the worst sensor plane), ``as-built rms`` (the largest wavefront error of built lenses at the
+        tolerances' object points), ``yield`` (the fraction of lenses that keep all limits
         of the study), or ``as-built reconstruction loss`` (the largest mean over built lenses of a merit
         `reconstruction_loss` of the study).
     start
@@ -201,6 +209,7 @@ class Settings(FrozenModel):
         "shortest track",
         "longest working distance",
         "largest field",
+        "smallest ghost fraction",
         "as-built rms",
         "yield",
         "as-built reconstruction loss",

@@ -22,6 +22,7 @@ from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.temperature import check_heat, lens_at_temperature
 from lensdesign.optimization.as_built import AsBuilt, read_as_built
 from lensdesign.optimization.specification.sections import (
+    GHOST_GOAL,
     LARGEST,
     LOSS_GOAL,
     Constraints,
@@ -162,6 +163,23 @@ class Specification(Lens):
             min_yield=None, max_as_built_rms_waves=None, max_as_built_reconstruction_loss=None
         )
         return self.model_copy(update={"constraints": limits})
+
+    def without_ghosts(self) -> Self:
+        """Return the specification without goal and constraint of ghosts."""
+        if not self.asks_ghosts:
+            return self
+        goal = "thinnest lens" if self.optimize.goal == GHOST_GOAL else self.optimize.goal
+        return self.model_copy(
+            update={
+                "constraints": self.constraints.replaced(max_ghost_fraction=None),
+                "optimize": self.optimize.replaced(goal=goal),
+            }
+        )
+
+    @property
+    def asks_ghosts(self) -> bool:
+        """True if goal or constraints concern ghosts."""
+        return self.constraints.max_ghost_fraction is not None or self.optimize.goal == GHOST_GOAL
 
     @property
     def asks_as_built(self) -> bool:
