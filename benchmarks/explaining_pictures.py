@@ -244,6 +244,43 @@ def coatings(picture: Path) -> None:
         _save(figure, picture)
 
 
+def ghosts(picture: Path) -> None:
+    """Rays of two ghosts of the paper's lens with a cover glass, beside the direct ones."""
+    from lensdesign import CoverGlass
+    from lensdesign.analysis.double_reflections import sensor_system
+    from lensdesign.raytrace.ghosts import ghost_system
+    from lensdesign.raytrace.rays import trace_compiled
+
+    lens = load_design(PAPER)
+    glass = CoverGlass(thickness_mm=0.7, material="N-BK7", distance_mm=0.5)
+    lens = lens.replaced(sensor=lens.sensor.replaced(cover_glass=glass))
+    system, names = sensor_system(lens, lens.wavelengths_um[0], lens.sensor.plane_distances_mm[0])
+    sines = np.linspace(-0.48, 0.48, 13)
+    origins = np.tile([0.0, 0.0, lens.object_z_mm], (len(sines), 1))
+    directions = np.column_stack([np.zeros(len(sines)), sines, np.sqrt(1.0 - sines**2)])
+    with chart_style():
+        figure = _figure(7.6, 3.6)
+        for axes, pair in zip(
+            figure.subplots(1, 2, sharey=True),
+            (("surface 2", "surface 1"), ("cover glass front", "surface 1")),
+            strict=True,
+        ):
+            back, front = (names.index(name) for name in pair)
+            for path, colour in ((system, GREY), (ghost_system(system, front, back), ORANGE)):
+                rays = trace_compiled(path, origins, directions, record_hits=True)
+                assert rays.hits is not None
+                for ray in np.flatnonzero(rays.ok):
+                    points = np.vstack([origins[ray], rays.hits[ray]])
+                    axes.plot(points[:, 2], points[:, 1], color=colour, lw=0.6)
+            y = np.linspace(-10.0, 10.0, 201)
+            for i, name in enumerate(names):
+                z = system.vertex[0, i, 2] + system.sag(i, 0.0 * y, y)
+                axes.plot(z, y, color=RED if name == "sensor" else BLUE, lw=1.2)
+            axes.set(title=f"{pair[0]} - {pair[1]}", xlim=(-4.0, 13.0), ylim=(-11.0, 11.0), xlabel="z (mm)")
+        figure.axes[0].set_ylabel("y (mm)")
+        _save(figure, picture)
+
+
 def view(picture: Path) -> None:
     """The lens, its rays and the planes of the sensor in space."""
     from lensdesign.plots.scene3d import render_lens
@@ -287,6 +324,7 @@ def main(arguments: list[str]) -> None:
         reconstruction_pupil,
         rough_frames,
         coatings,
+        ghosts,
         view,
     ):
         draw(Path(arguments[0]) / f"{draw.__name__}.png")

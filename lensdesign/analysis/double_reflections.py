@@ -172,14 +172,11 @@ def _focus_warning(focused: Sequence[GhostPath]) -> str:
     worst = max(focused, key=lambda path: path.relative_irradiance)
     side = "in front of" if worst.focus_mm < 0.0 else "behind"
     others = f" (and so are others, {len(focused)} paths in all)" if len(focused) > 1 else ""
-    movable = "the distance of the plane"
-    if any(name != SENSOR and not name.startswith("surface") for name in (worst.first, worst.second)):
-        movable += " or of the cover glass"
     return (
         f"the ghost {worst.first} - {worst.second} is focused {abs(worst.focus_mm):.3g} mm {side} the plane "
         f"at {worst.plane_distance_mm:g} mm{others}: its irradiance is {worst.relative_irradiance:.2g} of "
         f"that of the direct light over a radius of {worst.radius_mm:.3g} mm; reduce the reflectance of "
-        f"these surfaces by coatings, or change {movable}"
+        "these surfaces by coatings, or move the plane away from the focus"
     )
 
 

@@ -299,7 +299,7 @@ def test_a_ghost_that_is_focused_near_a_plane_is_a_warning():
         warning
     )
     assert "its irradiance is 0.056 of that of the direct light" in warning
-    assert "or change the distance of the plane or of the cover glass" in warning
+    assert "or move the plane away from the focus" in warning
     assert ghost_paths(PAPER).warnings == ()
 
 
