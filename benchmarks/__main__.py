@@ -31,6 +31,8 @@ SCRIPTS = (
     "full_plane_slices",
     "rim",
     "chooser",
+    "scalar_light",
+    "polarized_frames",
     "reconstruction",
     "cover_glass",
     "iterations",

@@ -25,6 +25,9 @@ def scalar_light_term(scene: Scene) -> ErrorTerm | None:
 
     On a line the light is polarized across the line and stays so. Scalar waves are then exact.
 
+    Eight of nine points lie on the border of the object grid, so that the error is rarely too
+    small: it is 0.99 to 1.33 times the measured one in the scenes of `python -m benchmarks.scalar_light`.
+
     Parameters
     ----------
     scene
