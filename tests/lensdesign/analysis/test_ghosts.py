@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from lensdesign import Coating, CoatingLayer, load_design, save_design
 from lensdesign.analysis import ghost_paths
 from lensdesign.analysis.ghosts import ghost_first_order, ghost_report, uncoated_ghost_fraction
 from lensdesign.cli.commands import app
-from lensdesign.errors import InputError
+from lensdesign.errors import DesignError, InputError
 
 PAPER = load_design("designs/paper_singlet.toml")
 N = float(PAPER.indices(0.532)[1])
@@ -131,3 +132,22 @@ def test_command_of_a_design_with_coatings_cover_glass_and_a_reflectance(tmp_pat
     row = next(line for line in shown.splitlines() if "cover glass front  surface 1" in line)
     assert row.split()[5:9] == ["1", "0.0013", "0.0013", "0.056"]
     assert "warning: the ghost cover glass front - surface 1 is focused" in shown
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("reflectance = 1.0", "sensor, reflectance = 1.0: must be less than 1"),
+        ("reflectance = -0.1", "sensor, reflectance = -0.1: must be greater than or equal to 0"),
+        (
+            '[sensor.cover_glass]\nthickness_mm = 0.7\nmaterial = 1.5\ndistance_mm = 0.5\ncoating = "shiny"',
+            "sensor, cover_glass, coating = 'shiny': must be 'ideal', 'bare' or 'mgf2'",
+        ),
+    ],
+)
+def test_impossible_reflections_are_refused(tmp_path, keys, message) -> None:
+    path = tmp_path / "lens.toml"
+    text = Path("designs/paper_singlet.toml").read_text()
+    path.write_text(text.replace("\n\n[[surface]]", f"\n{keys}\n\n[[surface]]", 1))
+    with pytest.raises(DesignError, match=re.escape(f"lens.toml: {message}")):
+        load_design(path)
