@@ -232,7 +232,7 @@ def ghost_paths(
         )
     is_what_if = has_ideal_coatings(lens)
     if is_what_if:
-        lens = with_coating(lens, "bare")
+        lens = lens.with_coating("bare")
     found: list[GhostPath] = []
     for plane_distance_mm, sensor_pose in zip(
         planes_mm, sensor_poses or (Pose(),) * len(planes_mm), strict=True
@@ -257,16 +257,6 @@ def has_ideal_coatings(lens: Lens) -> bool:
     return all(surface.coating == "ideal" for surface in lens.surfaces) and (
         glass is None or glass.coating == "ideal"
     )
-
-
-def with_coating(lens: Lens, coating: str) -> Lens:
-    """Return a lens whose surfaces, and the faces of its cover glass, all have a coating of this name."""
-    surfaces = tuple(surface.model_copy(update={"coating": coating}) for surface in lens.surfaces)
-    sensor = lens.sensor
-    if sensor.cover_glass is not None:
-        sensor = sensor.replaced(cover_glass=sensor.cover_glass.replaced(coating=coating))
-    # Lenses of a search are not validated.
-    return lens.model_copy(update={"surfaces": surfaces, "sensor": sensor})
 
 
 def sensor_system(

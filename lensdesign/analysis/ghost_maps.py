@@ -95,8 +95,7 @@ def ghost_maps(
     --------
     >>> import numpy as np
     >>> from lensdesign import load_design
-    >>> from lensdesign.analysis.double_reflections import with_coating
-    >>> lens = with_coating(load_design("designs/paper_singlet.toml"), "bare")
+    >>> lens = load_design("designs/paper_singlet.toml").with_coating("bare")
     >>> (found,) = ghost_maps(lens, np.zeros((1, 2)), np.ones(1), 2.0, lens.sensor.size_mm, rays=4000)
     >>> found.first, found.second, 0.005 < found.power < 0.02
     ('surface 2', 'surface 1', True)

@@ -408,8 +408,24 @@ class Lens(FrozenModel):
         return self.replaced(surfaces=surfaces)
 
     def with_coating(self, coating: SurfaceCoating) -> Self:
-        """Return the lens with one coating on all surfaces; see :class:`Surface` for coatings."""
-        return self.replaced(surfaces=tuple(surface.replaced(coating=coating) for surface in self.surfaces))
+        """Return the lens with one coating on all surfaces and on both faces of the sensor's cover glass.
+
+        Parameters
+        ----------
+        coating
+            Coating as of a :class:`Surface`.
+
+        Raises
+        ------
+        DesignError
+            If it is no coating. The rest of the lens is not validated again.
+        """
+        change = {"coating": Surface().replaced(coating=coating).coating}
+        sensor, glass = self.sensor, self.sensor.cover_glass
+        if glass is not None:
+            sensor = sensor.model_copy(update={"cover_glass": glass.model_copy(update=change)})
+        surfaces = tuple(surface.model_copy(update=change) for surface in self.surfaces)
+        return self.model_copy(update={"surfaces": surfaces, "sensor": sensor})
 
     def __repr__(self) -> str:
         media = ", ".join(str(s.material) for s in self.surfaces if s.material is not None)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lensdesign.analysis.double_reflections import with_coating
 from lensdesign.analysis.roughness import RoughnessReport, RoughnessWarning
 from lensdesign.common.arrays import Array
 from lensdesign.common.given import FilePath, object_of
@@ -280,7 +279,7 @@ def _smooth_ghosts(
     """
     if settings.ghosts == "none":
         return []
-    coated = lens if settings.coating is None else with_coating(lens, settings.coating)
+    coated = lens if settings.coating is None else lens.with_coating(settings.coating)
     is_coherent = settings.ghosts == "coherent"
     return [
         ghost_light(coated, behind_object, sensor, plane, only_beyond_lens=is_coherent) for plane in planes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lensdesign import CoverGlass, InputError, load_design
-from lensdesign.analysis.double_reflections import ghost_paths, with_coating
+from lensdesign.analysis.double_reflections import ghost_paths
 from lensdesign.analysis.ghost_maps import added, ghost_maps
 
 PAPER = load_design("designs/paper_singlet.toml")
@@ -16,7 +16,7 @@ CENTRE = np.zeros((1, 2)), np.ones(1)
 def with_sensor():
     glass = CoverGlass(thickness_mm=0.7, material=1.52, distance_mm=0.5)
     lens = PAPER.replaced(sensor=PAPER.sensor.replaced(cover_glass=glass, reflectance=0.05))
-    return with_coating(lens, "bare")
+    return lens.with_coating("bare")
 
 
 def test_maps_have_the_power_of_their_paths():

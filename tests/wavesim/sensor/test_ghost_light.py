@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from lensdesign import CoverGlass, InputError, load_design, scaled
-from lensdesign.analysis.double_reflections import with_coating
 from lensdesign.analysis.ghost_maps import ghost_maps
 from wavesim import Field, image
 from wavesim.sensor.ghost_light import ghost_light
@@ -17,9 +16,8 @@ SETTINGS = {"patch_mm": 0.03, "planes_mm": (0.0625,), "engine": "eikonal", "erro
 
 def glazed(coating="bare", reflectance=0.3):
     glass = CoverGlass(thickness_mm=0.02, material=1.52, distance_mm=0.02)
-    return with_coating(
-        LENS.replaced(sensor=LENS.sensor.replaced(cover_glass=glass, reflectance=reflectance)), coating
-    )
+    sensor = LENS.sensor.replaced(cover_glass=glass, reflectance=reflectance)
+    return LENS.replaced(sensor=sensor).with_coating(coating)
 
 
 def counts(lens, **changes):
@@ -58,12 +56,12 @@ def test_frames_contain_smooth_ghosts():
 
 
 def test_frames_contain_fringes_of_coated_ghosts():
-    bare = with_coating(LENS, "bare")
+    bare = LENS.with_coating("bare")
     without, fringes = counts(bare), counts(bare, ghosts="coherent")
     change = fringes * (without.sum() / fringes.sum()) - without
     contrast = np.sqrt(np.mean(change**2) / np.mean(without**2))
     assert 0.005 < contrast < 0.2
-    weaker = with_coating(LENS, "mgf2")
+    weaker = LENS.with_coating("mgf2")
     again = counts(weaker, ghosts="coherent")
     other = counts(weaker)
     rest = again * (other.sum() / again.sum()) - other
@@ -74,4 +72,4 @@ def test_ghosts_need_surfaces_that_reflect():
     with pytest.raises(InputError, match="ideal coatings reflect no light"):
         counts(LENS, ghosts="coherent")
     with pytest.raises(InputError, match="both given"):
-        counts(with_coating(LENS, "bare"), ghosts="coherent", ghost=0.001)
+        counts(LENS.with_coating("bare"), ghosts="coherent", ghost=0.001)
