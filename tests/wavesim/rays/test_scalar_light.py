@@ -11,7 +11,7 @@ import pytest
 from lensdesign import Lens, ObjectSpace, Pose, Sensor, Surface, load_design, scaled
 from lensdesign.lens.coatings.coating import CoatingName
 from wavesim import Field, Grid, Scene, engine_for, patch_scene
-from wavesim.rays.scalar_light import scalar_light_term
+from wavesim.rays.scalar_light import MARGIN, scalar_light_term
 
 INDEX, APERTURE = 1.5, 0.1
 
@@ -56,7 +56,7 @@ def test_a_bare_plate_has_the_mean_over_its_pupil() -> None:
     term = scalar_light_term(plate("bare"))
     assert term is not None
     expected = 0.5 * (1.0 - 1.0 / INDEX) ** 2 * APERTURE**2 / math.sqrt(3.0)
-    assert term.relative_error == pytest.approx(expected, rel=0.02)
+    assert term.relative_error == pytest.approx(MARGIN * expected, rel=0.02)
 
 
 def measured_error(scene: Scene) -> float:
@@ -85,4 +85,4 @@ def test_fields_with_all_components_have_the_error(coating: CoatingName, at_mm: 
     scene = replace(scene, coating=coating, pose=Pose(tilt_x_deg=0.8, decenter_y_mm=0.004))
     term = scalar_light_term(scene)
     assert term is not None
-    assert 0.95 < term.relative_error / measured_error(scene) < 2.0
+    assert 1.0 < term.relative_error / measured_error(scene) < 1.2
