@@ -14,6 +14,7 @@ from short_studies import copy_designs
 from small_pictures import draw_few_dots
 
 from lensdesign.common.toml_files import validate
+from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.drawing.sheets import DrawingOptions
 from lensdesign.optimization.specification.specification import Specification
 from tolerancing.study.files import study_from_tables
@@ -68,8 +69,10 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def test_files_that_pages_show_are_valid(tmp_path: Path) -> None:
-    (design,) = blocks(ROOT / "docs" / "design-files.md", "toml")
+    design, *parts = blocks(ROOT / "docs" / "design-files.md", "toml")
     tables = tomllib.loads(design)
+    for part in parts:
+        validate(Lens, tables | tomllib.loads(part), "docs/design-files.md")
     specification = "\n".join(blocks(ROOT / "docs" / "specifications.md", "toml"))
     validate(Specification, tables | tomllib.loads(specification), "docs/specifications.md")
     study, *parts = blocks(ROOT / "docs" / "tolerancing.md", "toml")
