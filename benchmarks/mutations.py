@@ -196,9 +196,9 @@ MUTATIONS = (
     # Through the lens
     Mutation(
         "Fresnel: TE for TM",
-        "wavesim/rays/interfaces.py",
-        "tm = 2.0 * n1 * incidence / (n2 * incidence + n1 * refraction)",
-        "tm = 2.0 * n1 * incidence / (n1 * incidence + n2 * refraction)",
+        "lensdesign/lens/coatings/thin_films.py",
+        "entrance = front * front / first if is_p else first",
+        "entrance = first if is_p else front * front / first",
     ),
     Mutation(
         "an ideal coating that keeps the amplitude",
@@ -216,8 +216,8 @@ MUTATIONS = (
     Mutation(
         "the aperture of tubes of rays by paths, not by areas",
         "wavesim/rays/ray_bundles.py",
-        "amplitude = np.sqrt(spread * ratio) * _losses(scene, first, rays)",
-        "amplitude = spread * ratio * _losses(scene, first, rays)",
+        "amplitude, path_mm = np.sqrt(spread * ratio), rays.opl",
+        "amplitude, path_mm = spread * ratio, rays.opl",
         "tests/wavesim/rays/test_ray_bundles.py",
     ),
     Mutation(

@@ -19,8 +19,11 @@ from lensdesign.analysis.space_bandwidth import (
     smallest_exit_beam_diameter_mm,
     spread_limit_sine,
 )
+from lensdesign.lens.coatings.coating import CoatingName
 from lensdesign.lens.glass import LINE_C_UM, LINE_D_UM, LINE_F_UM, get_material
+from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.poses import rotation_matrix
+from lensdesign.lens.surface import Surface
 from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.zernikes import zernike
 from lensdesign.manufacture.drawing.tolerances import GENERAL
@@ -42,6 +45,7 @@ from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, mtf, rms_waves, 
 from wavesim.rays.interfaces import transmission
 from wavesim.reconstruction.phase_retrieval import FEEDBACK, TV_STEP
 from wavesim.reconstruction.refocusing import svfg
+from wavesim.scene.scene import Scene
 from wavesim.sensor.camera_noise import Electronics, SaturationWarning, expose
 from wavesim.targets.usaf import usaf_elements, usaf_line_width_um
 
@@ -97,23 +101,35 @@ class TestGeometry:
         assert zernike(1, 1.0, 0.5 * math.pi) == pytest.approx(2.0)
 
 
+def plate_scene(coating: CoatingName, dimensions: int) -> Scene:
+    """A plate of index 1.5 in air."""
+    lens = Lens(
+        wavelengths_um=(0.5,),
+        object=ObjectSpace(field_diameter_mm=0.1, numerical_aperture=0.1, working_distance_mm=1.0),
+        sensor=Sensor(pixel_pitch_um=1.0, pixels=(9, 9), plane_distances_mm=(1.0,)),
+        surfaces=(Surface(material=1.5, thickness_mm=1.0, semi_diameter_mm=1.0, stop=True), Surface()),
+    )
+    before, behind = (Grid((5,) * dimensions, 1e-3, z) for z in (-1.0, 2.0))
+    return Scene(lens, before, behind, 0.5, coating=coating)
+
+
 class TestSurfaces:
     """Fresnel's coefficients between air and a glass of index 1.5."""
 
     def test_normal_incidence(self) -> None:
         one = np.ones(1)
-        assert transmission("bare", 1.0, 1.5, one, one, True) == pytest.approx([0.8])
-        assert transmission("bare", 1.5, 1.0, one, one, False) == pytest.approx([1.2])
-        assert transmission("ideal", 1.0, 1.5, one, one, False) == pytest.approx([math.sqrt(1.0 / 1.5)])
+        assert transmission(plate_scene("bare", 1), 0, one, one) == pytest.approx([0.8])
+        assert transmission(plate_scene("bare", 2), 1, one, one) == pytest.approx([1.2])
+        assert transmission(plate_scene("ideal", 2), 0, one, one) == pytest.approx([math.sqrt(1.0 / 1.5)])
 
     def test_brewsters_angle(self) -> None:
         """There all of TM passes, and of TE the flux 1 - ((n^2 - 1) / (n^2 + 1))^2."""
         n = 1.5
         incidence, refraction = np.array([1.0 / math.hypot(1.0, n)]), np.array([n / math.hypot(1.0, n)])
         flux = n * refraction / incidence
-        te = transmission("bare", 1.0, n, incidence, refraction, True) ** 2 * flux
+        te = transmission(plate_scene("bare", 1), 0, incidence, refraction) ** 2 * flux
         assert te == pytest.approx([1.0 - (1.25 / 3.25) ** 2])
-        mean = transmission("bare", 1.0, n, incidence, refraction, False) ** 2 * flux
+        mean = transmission(plate_scene("bare", 2), 0, incidence, refraction) ** 2 * flux
         assert mean == pytest.approx(0.5 * (1.0 + te))
 
 

@@ -6,7 +6,7 @@ noise of its rays, some percent in a cell, and does not resolve the image of a p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from lensdesign.analysis.double_reflections import SENSOR, sensor_system
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.raytrace.ghosts import ghost_system
 from lensdesign.raytrace.polarization import jones_matrices
 from lensdesign.raytrace.rays import trace_compiled
@@ -57,6 +58,10 @@ def ghost_maps(
     rays: int = 100_000,
     only_beyond_lens: bool = False,
     seed: int = 0,
+    object_z_mm: float | None = None,
+    pose: Pose = Pose(),
+    surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
+    sensor_pose: Pose = Pose(),
 ) -> tuple[GhostMap, ...]:
     """Trace the light of object points along all paths with two reflections, and collect it in cells.
 
@@ -80,6 +85,11 @@ def ghost_maps(
         Whether to omit paths between two surfaces of the lens itself.
     seed
         Seed of the rays.
+    object_z_mm
+        z of the object points (default: that of the design).
+    pose, surface_perturbations, sensor_pose
+        Deviations of the lens and of the sensor; see
+        :func:`lensdesign.analysis.double_reflections.ghost_paths`. Cells move with the sensor's decenter.
 
     Returns
     -------
@@ -101,20 +111,25 @@ def ghost_maps(
     ('surface 2', 'surface 1', True)
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
-    system, names = sensor_system(lens, wavelength, plane_distance_mm)
+    system, names = sensor_system(
+        lens, wavelength, plane_distance_mm, pose, surface_perturbations, sensor_pose
+    )
     random = np.random.default_rng(seed)
     chosen = random.choice(len(points_mm), rays, p=np.asarray(weights) / np.sum(weights))
     reach = min(0.999, 1.2 * lens.object.numerical_aperture)
     radius, angle = reach * np.sqrt(random.random(rays)), 2.0 * np.pi * random.random(rays)
     cosines = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     directions = np.column_stack([cosines, np.sqrt(1.0 - radius**2)])
-    origins = np.column_stack([np.asarray(points_mm)[chosen], np.full(rays, lens.object_z_mm)])
+    z_mm = lens.object_z_mm if object_z_mm is None else object_z_mm
+    origins = np.column_stack([np.asarray(points_mm)[chosen], np.full(rays, z_mm)])
     direct = trace_compiled(system, origins, directions, record_hits=True)
     if not np.any(direct.ok):
         raise InputError("no ray of the object points passes the lens: there is no light for a ghost")
     origins, directions = origins[direct.ok], directions[direct.ok]
     direct = trace_compiled(system, origins, directions, record_hits=True)
     total = float(np.sum(jones_matrices(system, origins, direct).transmittance))
+    if total == 0.0:
+        raise InputError("the coatings transmit no light")
     count = len(lens.surfaces)
     found = []
     for front, back in _pairs(names, count if only_beyond_lens else 0, bool(lens.sensor.reflectance)):
@@ -123,7 +138,11 @@ def ghost_maps(
         ghost = ghost_system(system, front, back)
         arrived = trace_compiled(ghost, origins, directions, record_hits=True)
         power = np.nan_to_num(jones_matrices(ghost, origins, arrived).transmittance) * arrived.ok
-        ends = [0.5 * np.array([-side, side]) for side in reversed(size_mm)]
+        centre = float(sensor_pose.decenter_y_mm), float(sensor_pose.decenter_x_mm)
+        ends = [
+            middle + 0.5 * np.array([-side, side])
+            for middle, side in zip(centre, reversed(size_mm), strict=True)
+        ]
         y, x = arrived.position[:, 1], arrived.position[:, 0]
         cells_of_power, _, _ = np.histogram2d(y, x, cells, range=ends, weights=power)
         smooth = _smoothed(cells_of_power)

@@ -425,7 +425,10 @@ def _halo_per_cosine(
                 start, leaving = behind.position, behind.direction
                 ok &= behind.ok
             lengths = (planes_z_mm - start[:, None, 2]) / np.where(ok, leaving[:, 2], 1.0)[:, None]
-            ends.append((leaving[:, :2], start[:, None, :2] + lengths[..., None] * leaving[:, None, :2]))
+            points = start[:, None, :2] + lengths[..., None] * leaving[:, None, :2]
+            if system.cover_glass is not None:
+                points = points + system.cover_glass.lateral_shift_mm(leaving[:, :2])[:, None]
+            ends.append((leaving[:, :2], points))
         (sine, mm), (other_sine, other_mm) = ends
         squares_sine += np.sum((0.5 * (sine - other_sine) / step) ** 2, axis=-1)
         squares_mm += np.sum((0.5 * (mm - other_mm) / step) ** 2, axis=-1)

@@ -134,7 +134,7 @@ def _lens(
         "sensor": {
             k: values[k]
             for k in ("pixel_pitch_um", "pixels", "plane_distances_mm", "cover_glass", "reflectance")
-            if values[k]
+            if values[k] is not None
         },
         "surface": surfaces,
         "edge": draft.notes.get("edges", []),

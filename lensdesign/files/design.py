@@ -14,7 +14,7 @@ from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError
-from lensdesign.files.surface_coatings import compile_coatings
+from lensdesign.files.surface_coatings import check_cover_glass_coating, compile_coatings
 from lensdesign.files.surface_figures import check_surface_figures
 from lensdesign.lens.coatings.coating import Coating
 from lensdesign.lens.cover_glass import CoverGlass
@@ -88,12 +88,20 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
             validate_inside(surface.figure.file, path, f"surface {index}, figure, file", DesignError)
         if isinstance(surface.coating, Coating) and surface.coating.file is not None:
             validate_inside(surface.coating.file, path, f"surface {index}, coating, file", DesignError)
-    lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces})
+    glass = lens.sensor.cover_glass
+    sensor = lens.sensor
+    if glass is not None and isinstance(glass.coating, Coating) and glass.coating.file is not None:
+        file = (path.parent / glass.coating.file).resolve()
+        validate_inside(file, path, "sensor, cover_glass, coating, file", DesignError)
+        coating = glass.coating.model_copy(update={"file": file})
+        sensor = sensor.model_copy(update={"cover_glass": glass.model_copy(update={"coating": coating})})
+    lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces, "sensor": sensor})
     try:
         check_surface_figures(lens)
         for wavelength in lens.wavelengths_um:
             lens.indices(wavelength)
             compile_coatings(lens, wavelength)
+            check_cover_glass_coating(lens, wavelength)
             lens.cover_glass_index(wavelength)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
@@ -290,4 +298,9 @@ def design_text(lens: Lens, folder: Path = Path()) -> str:
             source = getattr(surface, name)
             if source is not None and not isinstance(source, str) and source.file is not None:
                 table[name]["file"] = os.path.relpath(source.file, folder.resolve())
+    glass = lens.sensor.cover_glass
+    if glass is not None and isinstance(glass.coating, Coating) and glass.coating.file is not None:
+        data["sensor"]["cover_glass"]["coating"]["file"] = os.path.relpath(
+            glass.coating.file, folder.resolve()
+        )
     return tomli_w.dumps(data)

@@ -138,6 +138,24 @@ def compile_coatings(lens: Lens, wavelength_um: float) -> tuple[CompiledCoating,
     return tuple(compiled)
 
 
+def check_cover_glass_coating(lens: Lens, wavelength_um: float) -> None:
+    """Check that the coating of the cover glass is known at a wavelength.
+
+    Raises
+    ------
+    InputError
+        If it is not; the message names the cover glass.
+    """
+    glass = lens.sensor.cover_glass
+    if glass is None:
+        return
+    face = Surface(coating=glass.coating)
+    try:
+        _compiled(face, (True, False), lens.wavelengths_um[0], wavelength_um)
+    except InputError as error:
+        raise type(error)(f"cover glass, coating: {error}") from error
+
+
 def _compiled(
     surface: Surface, in_air: tuple[bool, ...], design_wavelength_um: float, wavelength_um: float
 ) -> CompiledCoating:

@@ -51,9 +51,12 @@ def reversed_surfaces(surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
 
 
 def _turned_coating(surface: Surface, has_air_behind: bool) -> SurfaceCoating:
-    """Return the coating of a surface that is turned around; layers between two glasses are reversed."""
+    """Return the coating of a surface that is turned around.
+
+    Layers between two glasses, or between air and air, are reversed, since they are listed from the front.
+    """
     coating = surface.coating
-    if isinstance(coating, str) or is_air(surface.material) or has_air_behind:
+    if isinstance(coating, str) or is_air(surface.material) != has_air_behind:
         return coating
     return coating.replaced(layers=coating.layers[::-1])
 

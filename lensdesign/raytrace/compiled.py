@@ -227,6 +227,11 @@ def _coatings(
             if not has_films(lens.surfaces[i].coating):
                 raise InputError(f"surface {i + 1}: coating_thickness_percent: {NO_FILMS}")
             error = 0.01 * np.asarray(change.coating_thickness_percent)
+            if np.any(error <= -1.0):
+                raise InputError(
+                    f"surface {i + 1}: coating_thickness_percent = {100.0 * float(np.min(error)):g}: must be "
+                    "above -100"
+                )
             coatings[i] = coatings[i].with_thickness_error(error[..., None])
     return tuple(coatings)
 

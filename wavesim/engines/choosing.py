@@ -214,6 +214,22 @@ def _with_scalar_light(built: Engine, light: Light | None) -> tuple[ErrorTerm, .
     return terms if own is None else tuple(sorted((*terms, own), key=lambda term: -term.relative_error))
 
 
+def predicted_error_of(engine: Engine, light: Light | None = None) -> float:
+    """Return an upper bound of an engine's relative error, with that of scalar light.
+
+    It is the error by which :func:`choose` compares engines. :meth:`Engine.predicted_error` is without the
+    error of scalar light.
+
+    Parameters
+    ----------
+    engine
+        Any engine.
+    light
+        Light behind the object; see :func:`choose`.
+    """
+    return upper_bound(_with_scalar_light(engine, light))
+
+
 def _scalar_light(scene: Scene) -> ErrorTerm | None:
     """Return the error of scalar waves, if the scene leaves the polarization open and rays pass the lens."""
     return scalar_light_term(scene) if scene.polarization == AUTO_POLARIZATION else None

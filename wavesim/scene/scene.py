@@ -11,6 +11,7 @@ import numpy as np
 
 from lensdesign.errors import InputError, validate_positive
 from lensdesign.lens.coatings.coating import SurfaceCoating
+from lensdesign.lens.coatings.compiled import TableCoating
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
@@ -110,11 +111,13 @@ class Scene:
         Scalar waves through the coatings of the design have the text of scenes before there were others, so
         that earlier results stay usable.
         """
+        # Tables of measured amplitudes count by their content, not by their path.
+        tables = [c.table.digest for c in self.system.coatings if isinstance(c, TableCoating)]
+        measured = f" {tables}" if tables else ""
         if self.coating is None and not is_vector(self.polarization):
-            return repr(self).replace(
-                f", coating=None, polarization={self.polarization!r}", ", coating='ideal'"
-            )
-        return repr(self)
+            text = f", coating=None, polarization={self.polarization!r}"
+            return repr(self).replace(text, ", coating='ideal'") + measured
+        return repr(self) + measured
 
     @property
     def has_ideal_coatings(self) -> bool:

@@ -8,7 +8,9 @@ from lensdesign.analysis.ghost_maps import added, ghost_maps
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
+from lensdesign.lens.poses import Pose
 from wavesim.fields.field import Field
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 
 
 def ghost_light(
@@ -18,6 +20,8 @@ def ghost_light(
     plane_distance_mm: float,
     *,
     only_beyond_lens: bool = False,
+    state: SystemState = AS_DESIGNED,
+    index: int = 0,
 ) -> Array:
     """Return the light of ghosts on pixels as fractions of the direct light of the plane.
 
@@ -34,6 +38,8 @@ def ghost_light(
         Distance of the plane from the exit vertex.
     only_beyond_lens
         Whether to omit ghosts between two surfaces of the lens.
+    state, index
+        Deviations of lens and sensor from the design, and the index of the plane.
 
     Returns
     -------
@@ -55,6 +61,16 @@ def ghost_light(
         for columns in parts[1]:
             points.append((float(grid.x_mm[columns].mean()), float(grid.y_mm[rows].mean())))
             weights.append(float(power[np.ix_(rows, columns)].sum()))
+    sensor_at = state.sensor_pose(index)
+    tilt_x_deg, tilt_y_deg = sensor_at.tilt_deg
+    sensor_pose = Pose(
+        decenter_x_mm=sensor_at.shift_mm[0],
+        decenter_y_mm=sensor_at.shift_mm[1],
+        despace_mm=sensor_at.distance_mm,
+        tilt_x_deg=tilt_x_deg,
+        tilt_y_deg=tilt_y_deg,
+        pivot_z_mm=lens.exit_vertex_z_mm + plane_distance_mm,
+    )
     maps = ghost_maps(
         lens,
         np.array(points),
@@ -63,5 +79,9 @@ def ghost_light(
         sensor.size_mm,
         wavelength_um=behind_object.wavelength_um,
         only_beyond_lens=only_beyond_lens,
+        object_z_mm=grid.z_mm,
+        pose=state.pose,
+        surface_perturbations=state.surface_perturbations,
+        sensor_pose=sensor_pose,
     )
     return added(maps, sensor.pixels[::-1])

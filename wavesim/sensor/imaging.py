@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
+from wavesim.engines.choosing import predicted_error_of
 from wavesim.engines.eikonal.on_cluster import tiles_in
 from wavesim.engines.with_ghost import WithGhost
 from wavesim.fields.field import Field
@@ -222,7 +223,7 @@ def image(
 
         engine = make(settings.lights(recorded_scene(lens, patch, windows[0], recording)))
         memory = Memory(imaging_bytes(engine, sensor, windows, recording), limit)
-        predicted_error = engine.predicted_error(Light(behind_object))
+        predicted_error = predicted_error_of(engine, Light(behind_object))
         scratch = scratch_in(folder, memory.room_for_arrays("this picture"))
         if on_estimate is not None:
             on_estimate(memory)
@@ -239,7 +240,7 @@ def image(
                 progress,
                 folder=folder,
                 scratch=scratch,
-                ghosts=_smooth_ghosts(lens, behind_object, sensor, planes, settings),
+                ghosts=_smooth_ghosts(lens, behind_object, sensor, recording, settings),
             )
         except KeyboardInterrupt:
             saved = folder is not None and (folder / PARTS).exists()
@@ -271,7 +272,7 @@ def _with_ghosts(engine: Engine, settings: ImageSettings) -> Engine:
 
 
 def _smooth_ghosts(
-    lens: Lens, behind_object: Field, sensor: Sensor, planes: Sequence[float], settings: ImageSettings
+    lens: Lens, behind_object: Field, sensor: Sensor, recording: Recording, settings: ImageSettings
 ) -> list[Array]:
     """Return the smooth light of ghosts on every plane; none unless the settings ask for ghosts.
 
@@ -282,7 +283,16 @@ def _smooth_ghosts(
     coated = lens if settings.coating is None else lens.with_coating(settings.coating)
     is_coherent = settings.ghosts == "coherent"
     return [
-        ghost_light(coated, behind_object, sensor, plane, only_beyond_lens=is_coherent) for plane in planes
+        ghost_light(
+            coated,
+            behind_object,
+            sensor,
+            plane,
+            only_beyond_lens=is_coherent,
+            state=recording.state,
+            index=index,
+        )
+        for index, plane in enumerate(recording.plane_distances_mm)
     ]
 
 

@@ -9,6 +9,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
 from wavesim.scene.engine import Engine
+from wavesim.scene.polarization import SCALAR
 from wavesim.scene.scene import Scene
 from wavesim.scene.source import SourceMode
 
@@ -24,7 +25,9 @@ def of_mode(
         raise InputError(
             "make: missing; light of several wavelengths needs a function that makes an engine for each"
         )
-    made = make(replace(engine.scene, wavelength_um=mode.wavelength_um))
+    # All wavelengths have as many components as the first one.
+    polarization = engine.scene.polarization if engine.components > 1 else SCALAR
+    made = make(replace(engine.scene, wavelength_um=mode.wavelength_um, polarization=polarization))
     return made if mode.component is None else made.component(mode.component), lit
 
 

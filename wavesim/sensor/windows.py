@@ -18,6 +18,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.engines.registry import AUTO, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES
 from wavesim.scene.engine import Engine
+from wavesim.scene.polarization import SCALAR
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import EngineSettings
@@ -241,7 +242,8 @@ def exit_scene(
         Samples per pixel.
     """
     grid = sensor_grid(sensor, lens.exit_vertex_z_mm + first_mm, oversampling)
-    return Scene(lens, patch.grid, grid, patch.wavelength_um, pose)
+    # Reconstructions use scalar waves, whatever error they allow.
+    return Scene(lens, patch.grid, grid, patch.wavelength_um, pose, polarization=SCALAR)
 
 
 def light_window(

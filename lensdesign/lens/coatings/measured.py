@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,12 @@ class CoatingTable:
     incidences_deg: Array
     amplitudes: Array
     phases_rad: Array
+
+    @property
+    def digest(self) -> str:
+        """Digest of all values, which is equal for equal tables in different files."""
+        arrays = self.wavelengths_um, self.incidences_deg, self.amplitudes, self.phases_rad
+        return sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
     @property
     def has_reflection(self) -> bool:

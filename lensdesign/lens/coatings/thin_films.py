@@ -95,10 +95,14 @@ def film_coefficients(
         # Tilted admittances: n cos(angle) for s, n / cos(angle) = n^2 / (n cos(angle)) for p.
         entrance = front * front / first if is_p else first
         exit_ = behind * behind / last if is_p else last
-        b, c = np.ones_like(exit_), exit_
+        b, c, depth = np.ones_like(exit_), exit_, np.zeros(np.shape(exit_))
         for film, along, phase in reversed(phases):
             admittance = film * film / along if is_p else along
-            cos_phase, sin_phase = np.cos(phase), np.sin(phase)
+            # Without the decay of an absorbing film, which would overflow; it only reduces the transmission.
+            decay = np.abs(phase.imag)
+            waves = np.exp(1j * phase - decay), np.exp(-1j * phase - decay)
+            cos_phase, sin_phase = 0.5 * (waves[0] + waves[1]), -0.5j * (waves[0] - waves[1])
+            depth = depth + decay
             b, c = (
                 cos_phase * b - 1j * sin_phase / admittance * c,
                 cos_phase * c - 1j * admittance * sin_phase * b,
@@ -106,7 +110,7 @@ def film_coefficients(
         total = entrance * b + c
         propagates = np.abs(last.imag) < 1e-12 * np.abs(behind)
         kept = np.sqrt(np.abs(entrance.real) * np.where(propagates, np.abs(exit_.real), 0.0))
-        results.append((2.0 * kept / total, (entrance * b - c) / total))
+        results.append((2.0 * kept / total * np.exp(-depth), (entrance * b - c) / total))
     (ts, rs), (tp, rp) = results
     return Coefficients(*(np.asarray(value) for value in (ts, tp, rs, rp)))
 

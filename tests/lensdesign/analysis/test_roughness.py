@@ -15,7 +15,15 @@ from hypothesis import strategies as st
 from programs import run_program
 from small_lenses import lens_of
 
-from lensdesign import DesignError, InputError, Lens, SurfacePerturbation, SurfaceRoughness, load_design
+from lensdesign import (
+    CoverGlass,
+    DesignError,
+    InputError,
+    Lens,
+    SurfacePerturbation,
+    SurfaceRoughness,
+    load_design,
+)
 from lensdesign.analysis.roughness import (
     RoughnessReport,
     half_width_cosine,
@@ -281,3 +289,16 @@ def test_the_check_prints_scattered_light(
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
     return lambda *arguments: run_program(monkeypatch, capsys, "lensdesign", *arguments)
+
+
+def test_a_halo_is_smaller_by_the_path_that_a_cover_glass_saves() -> None:
+    """Behind the last surface a plate of thickness t shortens the way in air by t (1 - 1 / n)."""
+    rough = load_design("designs/paper_singlet.toml").with_surface(1, roughness=SurfaceRoughness(**ROUGH))
+    glass = CoverGlass(thickness_mm=1.0, material=INDEX, distance_mm=0.5)
+    glazed = rough.replaced(sensor=rough.sensor.replaced(cover_glass=glass))
+    without, with_glass = (np.array(roughness_report(one).halo_radius_mm) for one in (rough, glazed))
+    # The surface lies in front of its vertex by a mean height, which both radii give.
+    ratio = without[0] / without[1]
+    height_mm = (22.0 * ratio - 2.0) / (1.0 - ratio)
+    away_mm = np.array([2.0, 22.0]) + height_mm
+    assert with_glass / without == pytest.approx(1.0 - (1.0 - 1.0 / INDEX) / away_mm, abs=0.005)

@@ -177,3 +177,35 @@ def test_a_layer_is_made_of_one_thing():
         CoatingLayer(material="MgF2", index=1.38, thickness_nm=10.0)
     with pytest.raises(DesignError, match="coating"):
         PAPER.with_surface(0, coating="silver")
+
+
+GLASS = '\n[sensor.cover_glass]\nthickness_mm = 0.7\nmaterial = "N-BK7"\ndistance_mm = 0.5\n'
+
+
+def test_a_table_of_the_cover_glass_lies_beside_the_design(tmp_path):
+    (tmp_path / "glass.csv").write_text(table_text())
+    path = tmp_path / "lens.toml"
+    path.write_text(TEXT + GLASS + 'coating = { file = "glass.csv" }\n')
+    lens = load_design(path)
+    assert lens.sensor.cover_glass.coating.file == tmp_path / "glass.csv"
+    (tmp_path / "other").mkdir()
+    save_design(lens, tmp_path / "other" / "lens.toml")
+    with pytest.raises(InputError, match="outside"):
+        load_design(tmp_path / "other" / "lens.toml")
+    save_design(lens, tmp_path / "again.toml")
+    assert load_design(tmp_path / "again.toml").sensor == lens.sensor
+
+
+@pytest.mark.parametrize("text", ['{ file = "missing.csv" }', "{ file = '../glass.csv' }"])
+def test_a_missing_table_of_the_cover_glass_is_named(tmp_path, text):
+    path = tmp_path / "lens.toml"
+    path.write_text(TEXT + GLASS + f"coating = {text}\n")
+    with pytest.raises(InputError, match=r"cover.glass, coating"):
+        load_design(path)
+
+
+def test_tables_are_equal_by_their_content(tmp_path):
+    for name, turned in (("a.csv", False), ("b.csv", False), ("c.csv", True)):
+        (tmp_path / name).write_text(table_text(incidences_deg=(0, 10, 20), turned=turned))
+    same, again, other = (coating_table(tmp_path / name).digest for name in ("a.csv", "b.csv", "c.csv"))
+    assert same == again != other

@@ -985,6 +985,13 @@ def test_a_cover_glass_is_written_as_two_planes_and_read_again(
         assert surfaces[2].material == material
 
 
+@pytest.mark.parametrize("reflectance", [0.0, 0.05, None])
+def test_files_keep_the_reflectance_of_the_sensor(paper_lens, tmp_path, reflectance):
+    lens = paper_lens.replaced(sensor=paper_lens.sensor.replaced(reflectance=reflectance))
+    write_zmx(lens, tmp_path / "x.zmx")
+    assert read_zmx(tmp_path / "x.zmx").lens.sensor.reflectance == reflectance
+
+
 def test_an_edited_cover_glass_remains_in_the_lens(paper_lens, tmp_path):
     glass = CoverGlass(thickness_mm=0.7, material="N-BK7", distance_mm=0.5)
     lens = paper_lens.replaced(sensor=paper_lens.sensor.replaced(cover_glass=glass))

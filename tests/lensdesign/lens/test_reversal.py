@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import DESIGNS
 
-from lensdesign import DesignError, Surface, load_design
+from lensdesign import Coating, CoatingLayer, DesignError, Surface, load_design
 from lensdesign.analysis.paraxial import cardinal_points
 from lensdesign.lens.reversal import reversed_surfaces
 
@@ -73,3 +73,12 @@ def test_measured_figures_are_refused() -> None:
     surfaces = load_design(DESIGNS / "measured_singlet.toml").surfaces
     with pytest.raises(DesignError, match="figures"):
         reversed_surfaces(surfaces)
+
+
+@pytest.mark.parametrize(("materials", "is_reversed"), [((None, None), True), (("N-BK7", None), False)])
+def test_layers_between_equal_media_are_reversed(materials, is_reversed):
+    coating = Coating(layers=tuple(CoatingLayer(index=n, thickness_nm=50.0) for n in (2.0, 1.4)))
+    first = Surface(material=materials[0], thickness_mm=1.0, coating=coating)
+    *_, last = reversed_surfaces((first, Surface(material=materials[1])))
+    indices = [layer.index for layer in last.coating.layers]
+    assert indices == ([1.4, 2.0] if is_reversed else [2.0, 1.4])

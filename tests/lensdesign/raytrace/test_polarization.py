@@ -157,6 +157,13 @@ def test_thickness_errors_of_a_coating_change_its_light_and_not_the_rays():
     assert transmittance[2] == pytest.approx(expected.transmittance[0], abs=1e-12)
 
 
+def test_films_have_a_thickness_left():
+    origins, directions = launch(PAPER, [(0.0, 0.0)], [(0.0, 0.0)], 0.532)
+    gone = {1: SurfacePerturbation(coating_thickness_percent=-150.0)}
+    with pytest.raises(InputError, match="surface 2: coating_thickness_percent = -150: must be above -100"):
+        trace_polarized(coated("mgf2"), origins, directions, 0.532, surface_perturbations=gone)
+
+
 def test_hits_are_needed():
     system = compile_system(PAPER, 0.532)
     origins, directions = launch(PAPER, [(0.0, 0.0)], [(0.0, 0.0)], 0.532)

@@ -22,6 +22,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property, partial
+from hashlib import sha256
 from itertools import count
 from typing import Any, NamedTuple, Self, get_args
 
@@ -480,6 +481,9 @@ class OneComponent(Engine):
 
     def settings(self) -> dict[str, Any]:
         return self.whole.settings()
+
+    def key(self) -> str:
+        return sha256(f"{self.whole.key()} component {self.index}".encode()).hexdigest()
 
 
 def _complex_field(values: Any) -> NDArray[np.complexfloating]:

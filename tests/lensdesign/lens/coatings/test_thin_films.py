@@ -117,3 +117,13 @@ def test_arrays_are_broadcast():
     assert together.ts.shape == (2, 5)
     alone = film_coefficients(1.0, 1.8, [1.38], [0.2], cosines[3], 0.5)
     assert together.rp[1, 3] == pytest.approx(alone.rp, abs=1e-15)
+
+
+def test_a_film_that_no_light_passes_reflects_as_a_medium():
+    """Of 5 um of a metal, where exp(k d) would overflow, only the surface counts."""
+    for cosine in (1.0, 0.6):
+        thick = film_coefficients(1.0, 1.5, [1.0 + 20.0j], [5.0], cosine, 0.55)
+        film = film_coefficients(1.0, 1.5, [1.0 + 20.0j], [0.2], cosine, 0.55)
+        assert np.all(np.isfinite(thick))
+        assert max(abs(thick.ts), abs(thick.tp)) < 1e-300
+        assert np.abs(np.subtract(thick[2:], film[2:])).max() < 1e-12

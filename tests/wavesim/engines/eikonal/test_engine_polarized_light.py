@@ -184,6 +184,8 @@ def test_the_adjoint_of_all_components(polarization: str | float, dtype: type) -
     left = sum(np.vdot(a.values, b.values) * a.grid.cell for a, b in zip(forward, ends, strict=True))
     right = np.vdot(start.values, adjoint.values) * start.grid.cell
     assert abs(left - right) < (1e-7 if dtype == np.complex128 else 1e-4) * abs(right)
+    keys = {engine.key(), *(engine.component(index).key() for index in range(engine.components))}
+    assert len(keys) == engine.components + 1
     for index in range(engine.components):
         one = engine.component(index)
         assert np.array_equal(one.forward(start).values, forward[index].values)
