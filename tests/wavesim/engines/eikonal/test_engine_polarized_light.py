@@ -130,11 +130,11 @@ def test_one_wide_tile_on_a_line_has_the_phase_of_the_coatings_at_all_its_points
     assert np.linalg.norm(along - scalar) < 1e-3 * np.linalg.norm(scalar)
 
 
-@pytest.mark.parametrize(("coating", "films", "allowed"), [("bare", (), 3e-4), (COATED, FILMS, 8e-4)])
+@pytest.mark.parametrize(("coating", "films", "allowed"), [("bare", (), 3e-4), (COATED, FILMS, 3e-4)])
 def test_a_plane_behind_a_plate_has_the_sum_over_plane_waves(
     coating: str | Coating, films: Any, allowed: float
 ) -> None:
-    """The error falls with the distance in wavelengths: the phase of the coating bends rays a little."""
+    """The error is inversely proportional to the size: 1e-4 at 0.4 mm."""
     scene = plate_scene(0.15, coating, 0.0, 2)
     found = FlatTiles(scene, tile_width_mm=1.0, error=1e-4).forward_components(beam(scene))
     s, p, turn = plane_waves(scene, films)
