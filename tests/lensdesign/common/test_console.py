@@ -29,7 +29,9 @@ def test_a_search_that_is_ended_leaves_what_was_there_or_its_best_lens(tmp_path:
     """
     specification = tmp_path / "spec.toml"
     text = (DESIGNS / "thinnest_singlet_spec.toml").read_text()
-    slow = 'algorithm = "isres"\nmax_seconds = 100.0\n\n[constraints]'
+    # A search that does not end by itself within the time of the test, however fast the machine.
+    limits = "starts = 10000\nagreeing = 10000\nmax_evaluations = 1000000000\nmax_seconds = 100.0\n"
+    slow = f'algorithm = "isres"\n{limits}\n[constraints]'
     specification.write_text(text.replace("[constraints]", slow))
     (tmp_path / "out.toml").write_text("mine")
     search = subprocess.Popen(
@@ -51,7 +53,12 @@ def test_a_search_that_is_ended_leaves_what_was_there_or_its_best_lens(tmp_path:
     last = err.splitlines()[-1]
     if (tmp_path / "out.toml").read_text() == "mine":
         assert out == ""
-        assert last in ("interrupted", "interrupted before a first lens was found")
+        # The last one is for an interrupt that a compiler has swallowed for the whole period of grace.
+        assert last in (
+            "interrupted",
+            "interrupted before a first lens was found",
+            "interrupted; ended without an orderly stop",
+        )
     else:
         feasible = check_against(
             load_design(tmp_path / "out.toml"), load_specification(specification)
