@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from lensdesign.errors import MaterialError
 from lensdesign.lens.catalogues.thermal import PLASTICS, REFERENCE_C, Thermal
@@ -23,6 +23,9 @@ from lensdesign.lens.catalogues.thermal import PLASTICS, REFERENCE_C, Thermal
 _LINE = re.compile(r"^ *(?:- )?(SHELF|BOOK|PAGE|name|data): *(.*)$", re.MULTILINE)
 
 _TAG = re.compile(r"<[^>]+>")
+
+
+Index = TypeVar("Index", float, complex)
 
 
 @dataclass(frozen=True)
@@ -68,9 +71,7 @@ class Table:
     indices: tuple[float, ...]
 
     def __call__(self, wavelength_um: float) -> float:
-        at = min(max(bisect_right(self.wavelengths_um, wavelength_um), 1), len(self.wavelengths_um) - 1)
-        (w0, w1), (n0, n1) = self.wavelengths_um[at - 1 : at + 1], self.indices[at - 1 : at + 1]
-        return n0 + (n1 - n0) / (w1 - w0) * (wavelength_um - w0)
+        return _interpolated(self.wavelengths_um, self.indices, wavelength_um)
 
 
 @dataclass(frozen=True)
@@ -81,11 +82,15 @@ class ComplexTable:
     indices: tuple[complex, ...]
 
     def __call__(self, wavelength_um: float) -> complex:
-        real, imaginary = (
-            Table(self.wavelengths_um, tuple(part))(wavelength_um)
-            for part in ([n.real for n in self.indices], [n.imag for n in self.indices])
-        )
-        return complex(real, imaginary)
+        return _interpolated(self.wavelengths_um, self.indices, wavelength_um)
+
+
+def _interpolated(
+    wavelengths_um: tuple[float, ...], indices: tuple[Index, ...], wavelength_um: float
+) -> Index:
+    at = min(max(bisect_right(wavelengths_um, wavelength_um), 1), len(wavelengths_um) - 1)
+    (w0, w1), (n0, n1) = wavelengths_um[at - 1 : at + 1], indices[at - 1 : at + 1]
+    return n0 + (n1 - n0) / (w1 - w0) * (wavelength_um - w0)
 
 
 def _folder() -> Path:

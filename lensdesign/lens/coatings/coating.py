@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -162,6 +163,7 @@ def has_films(coating: SurfaceCoating) -> bool:
     return coating == "mgf2" if isinstance(coating, str) else bool(coating.layers)
 
 
+@lru_cache(maxsize=64)
 def quarter_wave_mgf2(design_wavelength_um: float) -> Coating:
     """Return the coating ``mgf2``: a quarter wave of magnesium fluoride at a wavelength."""
     layer = CoatingLayer(material="MgF2", quarter_waves=1.0)
