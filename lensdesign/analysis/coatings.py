@@ -28,7 +28,6 @@ from lensdesign.raytrace.bundles import launch_compiled, pupil_rings
 from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.polarization import (
     PolarizedRays,
-    incidence_cosines,
     jones_matrices,
     surface_coefficients,
 )
@@ -190,12 +189,13 @@ def coating_report(
                 f"{lens.title or 'the lens'}: no ray from the object point ({point[0]:g}, {point[1]:g}) mm "
                 f"passes at {wavelength:g} µm"
             )
-        own = PolarizedRays(light.jones[chosen], light.before[chosen], light.after[chosen])
+        own = PolarizedRays(
+            light.jones[chosen], light.before[chosen], light.after[chosen], light.cos_incidence[chosen]
+        )
         results.append(_point(point, own, without[chosen], weights / weights.sum()))
-    cosines = incidence_cosines(system, origins, rays)
     surfaces = []
     for i, surface in enumerate(lens.surfaces):
-        smallest = float(np.min(cosines[..., i]))
+        smallest = float(np.min(light.cos_incidence[..., i]))
         found, _ = surface_coefficients(system, i, np.array([1.0, smallest]))
         normal, at_largest = 0.5 * (np.abs(found.ts) ** 2 + np.abs(found.tp) ** 2)
         surfaces.append(

@@ -21,6 +21,7 @@ from lensdesign.lens.coatings.compiled import UniformCoating
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.lens.surface import Surface
+from lensdesign.raytrace.bundles import directions_of, largest_cosine
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.ghosts import ghost_system
 from lensdesign.raytrace.polarization import jones_matrices
@@ -102,7 +103,7 @@ class GhostPaths:
     ----------
     paths : tuple of GhostPath
         For every recording plane, the paths in the order of their power, the strongest first.
-    is_what_if : bool
+    assumes_bare_surfaces : bool
         Whether surfaces count as bare because all coatings of the design are ideal.
     includes_sensor : bool
         Whether the design states the reflectance of the sensor, so that its paths are listed.
@@ -113,7 +114,7 @@ class GhostPaths:
     """
 
     paths: tuple[GhostPath, ...]
-    is_what_if: bool
+    assumes_bare_surfaces: bool
     includes_sensor: bool
 
     @property
@@ -154,7 +155,7 @@ class GhostPaths:
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; values that are not finite become None."""
         return {
-            "bare_surfaces": self.is_what_if,
+            "bare_surfaces": self.assumes_bare_surfaces,
             "includes_sensor": self.includes_sensor,
             "totals": [
                 {"plane_distance_mm": plane_mm, "power_on_sensor": power}
@@ -220,7 +221,7 @@ def ghost_paths(
     >>> lens = load_design("designs/paper_singlet.toml")
     >>> found = ghost_paths(lens)
     >>> strongest = found.paths[0]
-    >>> strongest.first, strongest.second, found.is_what_if
+    >>> strongest.first, strongest.second, found.assumes_bare_surfaces
     ('surface 2', 'surface 1', True)
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
@@ -230,8 +231,8 @@ def ghost_paths(
             f"sensor_poses has {len(sensor_poses)} poses: must have one for each of the {len(planes_mm)} "
             "recording planes"
         )
-    is_what_if = has_ideal_coatings(lens)
-    if is_what_if:
+    assumes_bare_surfaces = has_ideal_coatings(lens)
+    if assumes_bare_surfaces:
         lens = lens.with_coating("bare")
     found: list[GhostPath] = []
     for plane_distance_mm, sensor_pose in zip(
@@ -242,13 +243,10 @@ def ghost_paths(
         )
         light = _Light(lens, system, sampling)
         paths = [
-            light.path(names, front, back, plane_distance_mm)
-            for back in range(system.surfaces)
-            for front in range(back)
-            if names[back] != SENSOR or lens.sensor.reflectance
+            light.path(names, front, back, plane_distance_mm) for front, back in reflecting_pairs(lens, names)
         ]
         found += sorted(paths, key=lambda path: -path.power)
-    return GhostPaths(tuple(found), is_what_if, lens.sensor.reflectance is not None)
+    return GhostPaths(tuple(found), assumes_bare_surfaces, lens.sensor.reflectance is not None)
 
 
 def has_ideal_coatings(lens: Lens) -> bool:
@@ -257,6 +255,26 @@ def has_ideal_coatings(lens: Lens) -> bool:
     return all(surface.coating == "ideal" for surface in lens.surfaces) and (
         glass is None or glass.coating == "ideal"
     )
+
+
+def reflecting_pairs(lens: Lens, names: Sequence[str], first_back: int = 1) -> list[tuple[int, int]]:
+    """Return the indices, front and back, of the two reflecting surfaces of all paths.
+
+    Parameters
+    ----------
+    lens
+        The lens, which states whether its sensor reflects.
+    names
+        Names of the surfaces, from :func:`sensor_system`.
+    first_back
+        Smallest index of the surface that reflects first.
+    """
+    return [
+        (front, back)
+        for back in range(first_back, len(names))
+        for front in range(back)
+        if names[back] != SENSOR or lens.sensor.reflectance
+    ]
 
 
 def sensor_system(
@@ -307,6 +325,11 @@ def sensor_system(
     return replace(system, coatings=coatings), tuple(names)
 
 
+def on_sensor(system: CompiledSystem, rays: RayTrace) -> Array:
+    """Return the points on the sensor of :func:`sensor_system` in its own frame, shape (n, 3)."""
+    return np.asarray((rays.position - system.vertex[0, -1]) @ system.rotation[0, -1])
+
+
 def _moved(system: CompiledSystem, pose: Pose) -> CompiledSystem:
     """Return surfaces that move with a pose."""
     rotation, shift = pose.transform()
@@ -347,13 +370,14 @@ class _Light:
             mirrored = np.any(origins[:, :2] < 0.0, axis=1)
             origins, directions = origins[~mirrored], directions[~mirrored]
             self.multiplicity = np.where(np.any(origins[:, :2] > 0.0, axis=1), 2.0, 1.0)
-        passed = self._trace(system, origins, directions)[1] > 0.0
+        direct, weight = self._trace(system, origins, directions)
+        passed = weight > 0.0
         if not np.any(passed):
             raise InputError("no ray from the field passes the lens: there is no light for a ghost")
         self.origins, self.directions = origins[passed], directions[passed]
         self.multiplicity = self.multiplicity[passed]
-        self.direct, weight = self._trace(system, self.origins, self.directions)
-        self.power = self._power(system, self.direct, weight)
+        self.direct = direct.selected(passed)
+        self.power = self._power(system, self.direct, weight[passed])
         self.is_central = np.all(self.origins[:, :2] == 0.0, axis=1)
 
     def _trace(self, system: CompiledSystem, origins: Array, directions: Array) -> tuple[RayTrace, Array]:
@@ -384,7 +408,7 @@ class _Light:
         rays, weight = self._trace(system, self.origins, self.directions)
         power = self._power(system, rays, weight)
         total = float(np.sum(self.power))
-        x_mm, y_mm = np.abs(self._on_sensor(rays)[:, :2]).T
+        x_mm, y_mm = np.abs(on_sensor(self.system, rays)[:, :2]).T
         width_mm, height_mm = self.lens.sensor.size_mm
         inside = self._inside(x_mm, 0.5 * width_mm) * self._inside(y_mm, 0.5 * height_mm)
         fraction = float(np.sum(power)) / total
@@ -403,17 +427,13 @@ class _Light:
             relative_irradiance=irradiance,
         )
 
-    def _on_sensor(self, rays: RayTrace) -> Array:
-        """Return the points on the sensor in its own frame."""
-        return np.asarray((rays.position - self.system.vertex[0, -1]) @ self.system.rotation[0, -1])
-
     def _radius_mm(self, rays: RayTrace, power: Array) -> float:
         """Return the radius of an even disc with the rms radius of the central point's light; NaN without."""
         weight = power * self.is_central * rays.ok
         total = float(np.sum(weight))
         if total == 0.0:
             return math.nan
-        points = self._on_sensor(rays)[:, :2]
+        points = on_sensor(self.system, rays)[:, :2]
         centre = weight @ points / total
         return float(np.sqrt(2.0 * (weight @ np.sum((points - centre) ** 2, axis=1)) / total))
 
@@ -444,14 +464,13 @@ def field_rays(lens: Lens, fields: int = 3, directions: int = 2000) -> tuple[Arr
     """
     height = lens.half_field_mm * np.sqrt(np.linspace(0.0, 1.0, fields))
     points = [(0.0, 0.0)] + [p for h in height[1:] for p in ((h, 0.0), (0.0, h), (-h, 0.0), (0.0, -h))]
-    # Directions of the edge of the field are a little steeper than the aperture on the axis.
-    reach = min(0.999, 1.2 * lens.object.numerical_aperture)
+    reach = largest_cosine(lens)
     golden = 0.5 * (math.sqrt(5.0) - 1.0)
     index = np.arange(directions // 4) + 0.5
     radius = reach * np.sqrt(index / len(index))
     angle = 0.5 * np.pi * np.mod(golden * index, 1.0)
     quadrant = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     cosines = np.concatenate([quadrant * signs for signs in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
-    headings = np.column_stack([cosines, np.sqrt(1.0 - np.sum(cosines**2, axis=1))])
+    headings = directions_of(cosines)
     starts = np.column_stack([np.array(points), np.full(len(points), lens.object_z_mm)])
     return np.repeat(starts, len(headings), axis=0), np.tile(headings, (len(starts), 1))

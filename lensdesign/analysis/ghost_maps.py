@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from lensdesign.analysis.double_reflections import SENSOR, sensor_system
+from lensdesign.analysis.double_reflections import on_sensor, reflecting_pairs, sensor_system
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.raytrace.bundles import directions_of, largest_cosine
 from lensdesign.raytrace.ghosts import ghost_system
 from lensdesign.raytrace.polarization import jones_matrices
 from lensdesign.raytrace.rays import trace_compiled
@@ -89,7 +90,7 @@ def ghost_maps(
         z of the object points (default: that of the design).
     pose, surface_perturbations, sensor_pose
         Deviations of the lens and of the sensor; see
-        :func:`lensdesign.analysis.double_reflections.ghost_paths`. Cells move with the sensor's decenter.
+        :func:`lensdesign.analysis.double_reflections.ghost_paths`. Cells move with the sensor.
 
     Returns
     -------
@@ -116,34 +117,28 @@ def ghost_maps(
     )
     random = np.random.default_rng(seed)
     chosen = random.choice(len(points_mm), rays, p=np.asarray(weights) / np.sum(weights))
-    reach = min(0.999, 1.2 * lens.object.numerical_aperture)
-    radius, angle = reach * np.sqrt(random.random(rays)), 2.0 * np.pi * random.random(rays)
-    cosines = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-    directions = np.column_stack([cosines, np.sqrt(1.0 - radius**2)])
+    radius, angle = largest_cosine(lens) * np.sqrt(random.random(rays)), 2.0 * np.pi * random.random(rays)
+    directions = directions_of(np.column_stack([radius * np.cos(angle), radius * np.sin(angle)]))
     z_mm = lens.object_z_mm if object_z_mm is None else object_z_mm
     origins = np.column_stack([np.asarray(points_mm)[chosen], np.full(rays, z_mm)])
     direct = trace_compiled(system, origins, directions, record_hits=True)
     if not np.any(direct.ok):
         raise InputError("no ray of the object points passes the lens: there is no light for a ghost")
-    origins, directions = origins[direct.ok], directions[direct.ok]
-    direct = trace_compiled(system, origins, directions, record_hits=True)
+    passed = direct.ok
+    origins, directions, direct = origins[passed], directions[passed], direct.selected(passed)
     total = float(np.sum(jones_matrices(system, origins, direct).transmittance))
     if total == 0.0:
         raise InputError("the coatings transmit no light")
-    count = len(lens.surfaces)
+    first_back = len(lens.surfaces) if only_beyond_lens else 1
+    ends = [0.5 * np.array([-side, side]) for side in reversed(size_mm)]
     found = []
-    for front, back in _pairs(names, count if only_beyond_lens else 0, bool(lens.sensor.reflectance)):
+    for front, back in reflecting_pairs(lens, names, first_back):
         if system.coatings[front].is_ideal or system.coatings[back].is_ideal:
             continue
         ghost = ghost_system(system, front, back)
         arrived = trace_compiled(ghost, origins, directions, record_hits=True)
         power = np.nan_to_num(jones_matrices(ghost, origins, arrived).transmittance) * arrived.ok
-        centre = float(sensor_pose.decenter_y_mm), float(sensor_pose.decenter_x_mm)
-        ends = [
-            middle + 0.5 * np.array([-side, side])
-            for middle, side in zip(centre, reversed(size_mm), strict=True)
-        ]
-        y, x = arrived.position[:, 1], arrived.position[:, 0]
+        x, y, _ = on_sensor(system, arrived).T
         cells_of_power, _, _ = np.histogram2d(y, x, cells, range=ends, weights=power)
         smooth = _smoothed(cells_of_power)
         if smooth.sum() > 0.0:
@@ -151,7 +146,7 @@ def ghost_maps(
     return tuple(found)
 
 
-def added(maps: Sequence[GhostMap], shape: tuple[int, int]) -> Array:
+def sum_on_pixels(maps: Sequence[GhostMap], shape: tuple[int, int]) -> Array:
     """Return the sum of maps on pixels, bilinearly interpolated; its sum is the power of all maps.
 
     Parameters
@@ -174,16 +169,6 @@ def added(maps: Sequence[GhostMap], shape: tuple[int, int]) -> Array:
     values = (1.0 - part) * along[low] + part * along[low + 1]
     size = float(values.sum())
     return np.asarray(values * (float(total.sum()) / size if size > 0.0 else 0.0))
-
-
-def _pairs(names: tuple[str, ...], first_back: int, has_reflectance: bool) -> list[tuple[int, int]]:
-    """Return the surfaces in front and behind of all paths whose rear surface is not before one."""
-    return [
-        (front, back)
-        for back in range(max(first_back, 1), len(names))
-        for front in range(back)
-        if names[back] != SENSOR or has_reflectance
-    ]
 
 
 def _smoothed(values: Array) -> Array:

@@ -76,7 +76,7 @@ def _print_paths(lens: Lens, found: GhostPaths) -> None:
     print_whole(table)
     totals = ", ".join(f"{power:.3g} at {plane_mm:g} mm" for plane_mm, power in found.totals.items())
     typer.echo(f"\nall ghosts on the sensor: {totals}. Powers are fractions of that of the direct light.")
-    if found.is_what_if:
+    if found.assumes_bare_surfaces:
         typer.echo("The list is for bare surfaces, because all coatings of the design are ideal.")
     elif len(shown) < len(found.paths):
         typer.echo("Paths without power, such as those via surfaces with an ideal coating, are not listed.")

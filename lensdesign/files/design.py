@@ -22,8 +22,10 @@ from lensdesign.lens.edges import Edge, Flange, Gate
 from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
+from lensdesign.lens.surface_figure_source import SurfaceFigureSource
 
 OfLens = TypeVar("OfLens", bound=Lens)
+Part = TypeVar("Part", Surface, CoverGlass)
 
 
 def load_design(path: str | os.PathLike[str]) -> Lens:
@@ -80,21 +82,16 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
     validate_kind(data, path, "design")
     lens = validated_lens(Lens, data, path)
     catalogs = tuple((path.parent / c).resolve() for c in lens.glass_catalogs)
-    surfaces = tuple(_with_resolved_files(surface, path.parent) for surface in lens.surfaces)
     for catalog in catalogs:
         validate_inside(catalog, path, "glass_catalogs", DesignError)
-    for index, surface in enumerate(surfaces, start=1):
-        if surface.figure is not None and surface.figure.file is not None:
-            validate_inside(surface.figure.file, path, f"surface {index}, figure, file", DesignError)
-        if isinstance(surface.coating, Coating) and surface.coating.file is not None:
-            validate_inside(surface.coating.file, path, f"surface {index}, coating, file", DesignError)
-    glass = lens.sensor.cover_glass
-    sensor = lens.sensor
-    if glass is not None and isinstance(glass.coating, Coating) and glass.coating.file is not None:
-        file = (path.parent / glass.coating.file).resolve()
-        validate_inside(file, path, "sensor, cover_glass, coating, file", DesignError)
-        coating = glass.coating.model_copy(update={"file": file})
-        sensor = sensor.model_copy(update={"cover_glass": glass.model_copy(update={"coating": coating})})
+    surfaces = tuple(
+        _with_resolved_files(surface, path, f"surface {index}")
+        for index, surface in enumerate(lens.surfaces, start=1)
+    )
+    sensor, glass = lens.sensor, lens.sensor.cover_glass
+    if glass is not None:
+        glass = _with_resolved_files(glass, path, "sensor, cover_glass")
+        sensor = sensor.model_copy(update={"cover_glass": glass})
     lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces, "sensor": sensor})
     try:
         check_surface_figures(lens)
@@ -236,16 +233,32 @@ def _suspicious_lengths(data: Mapping[str, Any]) -> list[str]:
         return []  # the tables have another fault, which the caller reports
 
 
-def _with_resolved_files(surface: Surface, folder: Path) -> Surface:
-    """Return the surface with absolute paths of the files of its figure and coating."""
-    changes = {
-        name: source.model_copy(update={"file": (folder / source.file).resolve()})
-        for name in ("figure", "coating")
-        if (source := getattr(surface, name)) is not None
-        and not isinstance(source, str)
-        and source.file is not None
+def _file_sources(part: Surface | CoverGlass) -> dict[str, SurfaceFigureSource | Coating]:
+    """Return the sources of a part, by their keys, that are files."""
+    sources = {name: getattr(part, name, None) for name in ("figure", "coating")}
+    return {
+        name: source
+        for name, source in sources.items()
+        if isinstance(source, SurfaceFigureSource | Coating) and source.file is not None
     }
-    return surface.model_copy(update=changes) if changes else surface
+
+
+def _with_resolved_files(part: Part, path: Path, location: str) -> Part:
+    """Return a part with absolute paths of its files, which must not lead out of the design's folder."""
+    changes = {}
+    for name, source in _file_sources(part).items():
+        assert source.file is not None
+        file = (path.parent / source.file).resolve()
+        validate_inside(file, path, f"{location}, {name}, file", DesignError)
+        changes[name] = source.model_copy(update={"file": file})
+    return part.model_copy(update=changes) if changes else part
+
+
+def _write_relative_files(part: Surface | CoverGlass, table: dict[str, Any], folder: Path) -> None:
+    """Replace the paths of a part's files in its table by those relative to a folder."""
+    for name, source in _file_sources(part).items():
+        assert source.file is not None
+        table[name]["file"] = os.path.relpath(source.file, folder.resolve())
 
 
 def save_design(lens: Lens, path: str | os.PathLike[str]) -> None:
@@ -294,13 +307,7 @@ def design_text(lens: Lens, folder: Path = Path()) -> str:
         data["glass_catalogs"] = [os.path.relpath(c, folder.resolve()) for c in lens.glass_catalogs]
     data["surface"][lens.stop_index]["stop"] = True  # in memory, the stop may be implicit
     for surface, table in zip(lens.surfaces, data["surface"], strict=True):
-        for name in ("figure", "coating"):
-            source = getattr(surface, name)
-            if source is not None and not isinstance(source, str) and source.file is not None:
-                table[name]["file"] = os.path.relpath(source.file, folder.resolve())
-    glass = lens.sensor.cover_glass
-    if glass is not None and isinstance(glass.coating, Coating) and glass.coating.file is not None:
-        data["sensor"]["cover_glass"]["coating"]["file"] = os.path.relpath(
-            glass.coating.file, folder.resolve()
-        )
+        _write_relative_files(surface, table, folder)
+    if lens.sensor.cover_glass is not None:
+        _write_relative_files(lens.sensor.cover_glass, data["sensor"]["cover_glass"], folder)
     return tomli_w.dumps(data)

@@ -19,12 +19,11 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.tables import read_number, read_table
 from lensdesign.errors import InputError
-from lensdesign.lens.coatings.coating import Coating, quarter_wave_mgf2
+from lensdesign.lens.coatings.coating import Coating, SurfaceCoating, quarter_wave_mgf2
 from lensdesign.lens.coatings.compiled import CompiledCoating, FilmCoating, IdealCoating, TableCoating
 from lensdesign.lens.coatings.measured import CoatingTable
 from lensdesign.lens.glass import is_air
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.surface import Surface
 
 
 def coating_table(path: Path) -> CoatingTable:
@@ -132,7 +131,7 @@ def compile_coatings(lens: Lens, wavelength_um: float) -> tuple[CompiledCoating,
     for number, surface in enumerate(lens.surfaces, start=1):
         in_air = tuple(is_air(medium) for medium in media[number - 1 : number + 1])
         try:
-            compiled.append(_compiled(surface, in_air, lens.wavelengths_um[0], wavelength_um))
+            compiled.append(_compiled(surface.coating, in_air, lens.wavelengths_um[0], wavelength_um))
         except InputError as error:
             raise type(error)(f"surface {number}, coating: {error}") from error
     return tuple(compiled)
@@ -149,17 +148,15 @@ def check_cover_glass_coating(lens: Lens, wavelength_um: float) -> None:
     glass = lens.sensor.cover_glass
     if glass is None:
         return
-    face = Surface(coating=glass.coating)
     try:
-        _compiled(face, (True, False), lens.wavelengths_um[0], wavelength_um)
+        _compiled(glass.coating, (True, False), lens.wavelengths_um[0], wavelength_um)
     except InputError as error:
         raise type(error)(f"cover glass, coating: {error}") from error
 
 
 def _compiled(
-    surface: Surface, in_air: tuple[bool, ...], design_wavelength_um: float, wavelength_um: float
+    coating: SurfaceCoating, in_air: tuple[bool, ...], design_wavelength_um: float, wavelength_um: float
 ) -> CompiledCoating:
-    coating = surface.coating
     if coating == "ideal":
         return IdealCoating()
     if coating == "bare":

@@ -62,6 +62,14 @@ def pupil_rings(rings: int = 6, arms: int = 24, edge: bool = False) -> PupilSamp
     return PupilSamples(points.reshape(-1, 2), np.repeat(weights / arms, arms))
 
 
+def largest_cosine(lens: Lens) -> float:
+    """Return a transverse direction cosine that no ray through the aperture exceeds.
+
+    Rays from the edge of the field are a little steeper than the aperture on the axis.
+    """
+    return min(0.999, 1.2 * lens.object.numerical_aperture)
+
+
 def pupil_fan(rays: int) -> PupilSamples:
     """Return a meridional fan along y, from rim to rim."""
     y = np.linspace(-1.0, 1.0, rays)

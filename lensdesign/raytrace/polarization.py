@@ -46,6 +46,8 @@ class PolarizedRays:
         Components behind the last surface from those in front of the first.
     before, after : ndarray, shape (..., 3)
         Directions in which the light travels in front of the first surface and behind the last.
+    cos_incidence : ndarray, shape (..., surfaces)
+        Cosines of the angles of incidence; 1 for rays that did not arrive.
 
     Examples
     --------
@@ -62,6 +64,7 @@ class PolarizedRays:
     jones: ComplexArray
     before: Array
     after: Array
+    cos_incidence: Array
 
     @property
     def transmittance(self) -> Array:
@@ -162,7 +165,7 @@ def jones_matrices(system: CompiledSystem, origins: Array, rays: RayTrace) -> Po
     path = _path(system, origins, rays)
     shape = path.ok.shape
     count = path.ok.size
-    coefficients = [_used(system, path, i) for i in range(system.surfaces)]
+    coefficients = [_coefficients_along(system, path, i) for i in range(system.surfaces)]
     along_s = np.stack([np.broadcast_to(s, shape) for s, _ in coefficients], axis=-1)
     along_p = np.stack([np.broadcast_to(p, shape) for _, p in coefficients], axis=-1)
     result = np.empty((count, 2, 2), complex)
@@ -174,7 +177,8 @@ def jones_matrices(system: CompiledSystem, origins: Array, rays: RayTrace) -> Po
         result,
     )
     result[~path.ok.ravel()] = np.nan
-    return PolarizedRays(result.reshape(*shape, 2, 2), path.headings[..., 0, :], path.headings[..., -1, :])
+    before, after = path.headings[..., 0, :], path.headings[..., -1, :]
+    return PolarizedRays(result.reshape(*shape, 2, 2), before, after, path.cosines)
 
 
 def polarization_matrices(system: CompiledSystem, origins: Array, rays: RayTrace) -> ComplexArray:
@@ -194,7 +198,9 @@ def polarization_matrices(system: CompiledSystem, origins: Array, rays: RayTrace
         other = np.cross(before, helper)
         other /= np.linalg.norm(other, axis=-1, keepdims=True)
         s = np.where(size > 1e-12, across / np.where(size > 1e-12, size, 1.0), other)
-        own = [np.broadcast_to(value, path.ok.shape) for value in (*_used(system, path, i), 1.0)]
+        own = [
+            np.broadcast_to(value, path.ok.shape) for value in (*_coefficients_along(system, path, i), 1.0)
+        ]
         into = np.stack([s, np.cross(before, s), before], axis=-2)
         out = np.stack([s, np.cross(after, s), after], axis=-1)
         total = (out * np.stack(own, axis=-1)[..., None, :]) @ into @ total
@@ -263,7 +269,7 @@ def _surface_normals(system: CompiledSystem, surface: int, points: Array) -> Arr
     return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True) @ rotation.T)
 
 
-def _used(system: CompiledSystem, path: _Path, i: int) -> tuple[ComplexArray, ComplexArray]:
+def _coefficients_along(system: CompiledSystem, path: _Path, i: int) -> tuple[ComplexArray, ComplexArray]:
     """Return the coefficients of s and p light at a surface, for the vectors of the 3 x 3 matrices."""
     coefficients, is_reflected = surface_coefficients(system, i, path.cosines[..., i])
     if is_reflected:

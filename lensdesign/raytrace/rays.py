@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -66,6 +66,11 @@ class RayTrace:
     def ok(self) -> NDArray[np.bool_]:
         """True if each ray arrived."""
         return self.status == Status.OK
+
+    def selected(self, chosen: slice | NDArray[np.bool_]) -> RayTrace:
+        """Return some rays of a single lens."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, **{name: v[chosen] for name, v in values.items() if v is not None})
 
     @property
     def throughput(self) -> float:

@@ -288,19 +288,27 @@ def cylinder_scene(
     )
 
 
-def round_lens(title: str, radius_mm: float, wavelength_um: float, stop_angle: float) -> Lens:
-    """Return the central part of a cylinder or a sphere as a lens for a point half a radius in front of it.
+def round_lens(
+    title: str,
+    radius_mm: float,
+    wavelength_um: float,
+    stop_angle: float,
+    distance: float = OBJECT_DISTANCE,
+    rear: float = 0.68,
+) -> Lens:
+    """Return the central part of a cylinder or a sphere as a lens.
 
-    Its stop admits rays up to an angle (radians).
+    Its stop admits rays up to an angle (radians) from a point at a distance from the centre. The distance and
+    the semi-diameter of the rear surface are in radii.
     """
-    stop = math.sin(math.asin(OBJECT_DISTANCE * math.sin(stop_angle)) - stop_angle)
+    stop = math.sin(math.asin(distance * math.sin(stop_angle)) - stop_angle)
     return Lens(
         title=title,
         wavelengths_um=(wavelength_um,),
         object=ObjectSpace(
             field_diameter_mm=0.2 * radius_mm,
             numerical_aperture=math.sin(stop_angle),
-            working_distance_mm=0.5 * radius_mm,
+            working_distance_mm=(distance - 1.0) * radius_mm,
         ),
         sensor=Sensor(
             pixel_pitch_um=wavelength_um, pixels=(1024, 1024), plane_distances_mm=(0.1 * radius_mm,)
@@ -313,6 +321,6 @@ def round_lens(title: str, radius_mm: float, wavelength_um: float, stop_angle: f
                 semi_diameter_mm=stop * radius_mm,
                 stop=True,
             ),
-            Surface(radius_mm=-radius_mm, semi_diameter_mm=0.68 * radius_mm),
+            Surface(radius_mm=-radius_mm, semi_diameter_mm=rear * radius_mm),
         ),
     )

@@ -21,9 +21,7 @@ from scipy.interpolate import make_interp_spline
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.coatings.coating import CoatingName
-from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
-from lensdesign.lens.surface import Surface
-from wavesim.analytic.cylinder import SCENE_INDEX, matched_orders
+from wavesim.analytic.cylinder import SCENE_INDEX, matched_orders, round_lens
 from wavesim.analytic.sphere import ComplexArray, beam_nodes, beam_on_plane, riccati_functions
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene
@@ -74,7 +72,7 @@ def vector_sphere_scene(
     object_count = 2 * math.ceil(cut / (k * spread) / object_pitch)
     exit_count = 2 * math.ceil(0.7 * radius_mm / exit_pitch)
     scene = Scene(
-        lens=_lens(radius_mm, wavelength_um, stop_angle),
+        lens=round_lens("Dielectric sphere", radius_mm, wavelength_um, stop_angle, DISTANCE, rear=0.9),
         object_grid=Grid((object_count, object_count), object_pitch, (1.0 - DISTANCE) * radius_mm),
         exit_grid=Grid((exit_count, exit_count), exit_pitch, 2.1 * radius_mm),
         wavelength_um=wavelength_um,
@@ -86,33 +84,6 @@ def vector_sphere_scene(
     waves = passed_multipoles(k * radius_mm, SCENE_INDEX, k, spread, waist_z_mm, is_ideal)
     components = _on_plane(waves, k, scene, 1.1 * radius_mm, wavelength_um)
     return VectorCase(scene, Field(scene.object_grid, start, wavelength_um), components)
-
-
-def _lens(radius_mm: float, wavelength_um: float, stop_angle: float) -> Lens:
-    """Return the central part of a sphere whose stop admits rays up to an angle."""
-    stop = math.sin(math.asin(DISTANCE * math.sin(stop_angle)) - stop_angle)
-    return Lens(
-        title="Dielectric sphere",
-        wavelengths_um=(wavelength_um,),
-        object=ObjectSpace(
-            field_diameter_mm=0.2 * radius_mm,
-            numerical_aperture=math.sin(stop_angle),
-            working_distance_mm=(DISTANCE - 1.0) * radius_mm,
-        ),
-        sensor=Sensor(
-            pixel_pitch_um=wavelength_um, pixels=(1024, 1024), plane_distances_mm=(0.1 * radius_mm,)
-        ),
-        surfaces=(
-            Surface(
-                radius_mm=radius_mm,
-                thickness_mm=2.0 * radius_mm,
-                material=SCENE_INDEX,
-                semi_diameter_mm=stop * radius_mm,
-                stop=True,
-            ),
-            Surface(radius_mm=-radius_mm, semi_diameter_mm=0.9 * radius_mm),
-        ),
-    )
 
 
 def multipoles(wavenumber_per_mm: float, spread: float, waist_z_mm: float, orders: int) -> ComplexArray:

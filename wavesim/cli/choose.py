@@ -121,7 +121,7 @@ def choose(
         meridional=meridional,
         object_pitch_um=settings.object_pitch_um,
     )
-    scene = settings.lights(scene)
+    scene = settings.applied_to(scene)
     light = None
     # ``even`` is light of all directions on an evenly filled patch.
     if object_ != "even":

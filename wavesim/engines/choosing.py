@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any
 
 from lensdesign.common.given import FilePath, object_of
@@ -181,16 +182,18 @@ def predict(scene: Scene, engine: str, light: Light | None = None, **settings: A
     InputError
         If there is no such engine or setting, or the light has another grid or wavelength than the scene.
     """
-    return _predicted(engine_for(scene, engine, **settings), settings, light)
+    return _predicted(engine_for(scene, engine, **settings), settings, light, partial(_scalar_light, scene))
 
 
-def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> Prediction:
+def _predicted(
+    built: Engine, settings: dict[str, Any], light: Light | None, scalar: Callable[[], ErrorTerm | None]
+) -> Prediction:
     if light is not None:
         light.validate_same_scene(built.scene)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         try:
-            cost, terms = built.cost(), _with_scalar_light(built, light)
+            cost, terms = built.cost(), _with_scalar_light(built, light, scalar())
         except (InputError, SamplingError) as problem:
             return Prediction(
                 built.name, settings, refused=str(problem), polarization=built.scene.polarization
@@ -207,11 +210,12 @@ def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> 
     )
 
 
-def _with_scalar_light(built: Engine, light: Light | None) -> tuple[ErrorTerm, ...]:
-    """Return the error terms of an engine, with that of scalar light unless the scene asks for such light."""
+def _with_scalar_light(built: Engine, light: Light | None, scalar: ErrorTerm | None) -> tuple[ErrorTerm, ...]:
+    """Return the error terms of an engine, with that of scalar light where there is one."""
     terms = built.error_terms_of(light)
-    own = _scalar_light(built.scene)
-    return terms if own is None else tuple(sorted((*terms, own), key=lambda term: -term.relative_error))
+    if scalar is None:
+        return terms
+    return tuple(sorted((*terms, scalar), key=lambda term: -term.relative_error))
 
 
 def predicted_error_of(engine: Engine, light: Light | None = None) -> float:
@@ -227,7 +231,7 @@ def predicted_error_of(engine: Engine, light: Light | None = None) -> float:
     light
         Light behind the object; see :func:`choose`.
     """
-    return upper_bound(_with_scalar_light(engine, light))
+    return upper_bound(_with_scalar_light(engine, light, _scalar_light(engine.scene)))
 
 
 def _scalar_light(scene: Scene) -> ErrorTerm | None:
@@ -245,13 +249,14 @@ def predictions(
     reused.
     """
     needs_components = is_vector(scene.polarization)
+    scalar = cache(partial(_scalar_light, scene))  # the same for all engines
     for engine in (one for name in ENGINES for one in engine_class(name).implementations()):
         if needs_components and not engine.carries_polarization:
             continue
         previous = math.inf
         for settings in engine.candidates(scene, error):
             candidate = engine(scene, **settings)
-            found = _predicted(candidate, settings, light)
+            found = _predicted(candidate, settings, light, scalar)
             yield found
             if built is not None and found.relative_error <= error:
                 built[id(found)] = candidate

@@ -194,6 +194,22 @@ def coating_coefficient(scene: Scene, surface: int, incidence: Array) -> NDArray
     return value if np.any(value.imag) else value.real
 
 
+def coating_transmission(scene: Scene, cos_incidence: Array) -> NDArray[np.complex128]:
+    """Return the transmission of scalar waves by all coatings on the path, normalized to flux, shape (n,).
+
+    Parameters
+    ----------
+    scene
+        Lens with its coatings.
+    cos_incidence
+        Cosines of the angles of incidence, shape (n, surfaces).
+    """
+    result = np.ones(len(cos_incidence), complex)
+    for surface in range(scene.system.surfaces):
+        result *= coating_coefficient(scene, surface, cos_incidence[:, surface])
+    return result
+
+
 def scalar_coefficient(s: ComplexArray, p: ComplexArray) -> ComplexArray:
     """Return the coefficient with the mean flux of both polarizations, and the phase of their sum."""
     total = s + p

@@ -9,8 +9,9 @@ and Yu. I. Orlov, "Geometrical Optics of Inhomogeneous Media" (1990).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from lensdesign.raytrace.bundles import launch_pairs
 from lensdesign.raytrace.polarization import incidence_cosines, jones_matrices
 from lensdesign.raytrace.rays import RayTrace, trace_compiled
 from lensdesign.raytrace.status import Status
-from wavesim.rays.interfaces import coating_coefficient, validate_meridional
+from wavesim.rays.interfaces import coating_transmission, validate_meridional
 from wavesim.scene.polarization import components_of, is_vector
 from wavesim.scene.scene import Scene
 
@@ -220,7 +221,7 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
     # Calls for each neighbour would cost more than the rays themselves.
     all_points = np.tile(points, (len(moves), 1))
     bunch = shoot(scene, all_points, (pupil + moves[:, None]).reshape(-1, 2), plane_z_mm, clip=False)
-    rays = _rays_in(bunch, slice(0, len(pupil)))
+    rays = bunch.selected(slice(0, len(pupil)))
     validate_meridional(scene, rays)
     headings = _first_headings(scene, all_points, bunch).reshape(len(moves), -1, 3)
     first = headings[0]
@@ -238,20 +239,11 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = np.abs(determinants(cosine_jacobian) / determinants(jacobian))
         amplitude, path_mm = np.sqrt(spread * ratio), rays.opl
-    origins = np.column_stack([points, np.full(len(points), scene.object_grid.z_mm)])
-    jones, phase = None, np.zeros(())
-    if not scene.has_ideal_coatings:
-        transmitted, axial = _transmitted(scene, origins, rays)
-        # The phase relative to that on the axis has no jumps.
-        phase = np.angle(transmitted / axial) + np.angle(axial)
-        path_mm = path_mm + phase / scene.wavenumber_per_mm
-        if not is_vector(scene.polarization):
-            amplitude = amplitude * np.abs(transmitted)
-    if is_vector(scene.polarization):
-        matrices = jones_matrices(scene.system, origins, rays).jones
-        components = components_of(scene.polarization)
-        jones = np.stack([component.of(matrices) for component in components], axis=-1)
-        jones = jones * np.exp(-1j * phase)[..., None]
+    jones = None
+    if is_vector(scene.polarization) or not scene.has_ideal_coatings:
+        through = _through_coatings(scene, points, rays)
+        amplitude, jones = amplitude * through.amplitude, through.jones
+        path_mm = path_mm + through.phase_rad / scene.wavenumber_per_mm
     return RayBundle(
         ok=ok & np.isfinite(amplitude),
         pupil=pupil,
@@ -286,11 +278,6 @@ def inverses(matrices: Array) -> Array:
     return np.asarray(inverse * np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0))
 
 
-def _rays_in(rays: RayTrace, chosen: slice) -> RayTrace:
-    """Return some rays of a trace."""
-    return replace(rays, **{f.name: getattr(rays, f.name)[chosen] for f in fields(rays)})
-
-
 def _knots(rays: RayTrace) -> Array:
     """Return the points on each surface and on the plane, shape (n, surfaces + 1, 3)."""
     assert rays.hits is not None
@@ -303,14 +290,29 @@ def _first_headings(scene: Scene, points: Array, rays: RayTrace) -> Array:
     return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
 
 
-def _transmitted(scene: Scene, origins: Array, rays: RayTrace) -> tuple[NDArray[np.complex128], complex]:
-    """Return the transmission of scalar waves by all coatings, of rays and on the axis."""
-    cosines = incidence_cosines(scene.system, origins, rays)
-    result, axial = np.ones(len(origins), complex), 1.0 + 0.0j
-    for surface in range(scene.system.surfaces):
-        result *= coating_coefficient(scene, surface, cosines[:, surface])
-        axial *= complex(coating_coefficient(scene, surface, np.ones(1))[0])
-    return result, axial
+class _ThroughCoatings(NamedTuple):
+    """Effect of the coatings: a factor on the amplitude, a phase, and the components relative to both."""
+
+    amplitude: Array
+    phase_rad: Array
+    jones: NDArray[np.complex128] | None
+
+
+def _through_coatings(scene: Scene, points: Array, rays: RayTrace) -> _ThroughCoatings:
+    """Return the effect of the coatings on rays; for components, the amplitude is part of their matrices."""
+    origins = np.column_stack([points, np.full(len(points), scene.object_grid.z_mm)])
+    is_polarized = is_vector(scene.polarization)
+    polarized = jones_matrices(scene.system, origins, rays) if is_polarized else None
+    cosines = incidence_cosines(scene.system, origins, rays) if polarized is None else polarized.cos_incidence
+    transmitted = coating_transmission(scene, cosines)
+    axial = complex(coating_transmission(scene, np.ones((1, scene.system.surfaces)))[0])
+    # The phase relative to that on the axis has no jumps.
+    phase = np.angle(transmitted / axial) + np.angle(axial)
+    if polarized is None:
+        return _ThroughCoatings(np.abs(transmitted), phase, None)
+    components = components_of(scene.polarization)
+    jones = np.stack([component.of(polarized.jones) for component in components], axis=-1)
+    return _ThroughCoatings(np.ones(len(points)), phase, jones * np.exp(-1j * phase)[:, None])
 
 
 def _caustics(rays: RayTrace, knots: Array) -> NDArray[np.intp]:

@@ -12,10 +12,10 @@ import math
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.raytrace.bundles import directions_of, largest_cosine
 from lensdesign.raytrace.polarization import jones_matrices
 from lensdesign.raytrace.rays import trace_compiled
-from wavesim.rays.interfaces import coating_coefficient
-from wavesim.rays.ray_bundles import incidence_cosines
+from wavesim.rays.interfaces import coating_transmission
 from wavesim.scene.engine import ErrorTerm
 from wavesim.scene.scene import Scene
 
@@ -46,11 +46,9 @@ def scalar_light_term(scene: Scene) -> ErrorTerm | None:
     rays = trace_compiled(system, origins, directions, record_hits=True)
     if not np.any(rays.ok):
         return None
-    jones = jones_matrices(system, origins, rays).jones[rays.ok]
-    cosines = incidence_cosines(system, origins, rays)[rays.ok]
-    scalar = np.ones(len(jones), complex)
-    for surface in range(system.surfaces):
-        scalar = scalar * coating_coefficient(scene, surface, cosines[:, surface])
+    polarized = jones_matrices(system, origins, rays)
+    jones = polarized.jones[rays.ok]
+    scalar = coating_transmission(scene, polarized.cos_incidence[rays.ok])
     different = jones - scalar[:, None, None] * np.eye(2)
     # Rays carry equal |u|^2 in front of the lens. Behind it, |u|^2 times the cosine to the axis is kept.
     weight = directions[rays.ok, 2] / rays.direction[rays.ok, 2]
@@ -66,11 +64,9 @@ def _rays(scene: Scene) -> tuple[Array, Array]:
     rings, arms = 16, 24
     radius = np.sqrt((np.arange(rings) + 0.5) / rings)
     turns = 2.0 * np.pi * np.arange(arms) / arms
-    # The edge of the aperture from the grid's corners is a little steeper than from the axis.
-    reach = min(0.999, 1.2 * scene.lens.object.numerical_aperture)
+    reach = largest_cosine(scene.lens)
     cosines = reach * np.stack([np.outer(radius, np.cos(turns)), np.outer(radius, np.sin(turns))], axis=-1)
-    cosines = cosines.reshape(-1, 2)
-    headings = np.column_stack([cosines, np.sqrt(1.0 - np.sum(cosines**2, axis=1))])
+    headings = directions_of(cosines.reshape(-1, 2))
     # Their mean is that over the grid, for cubic polynomials of the position.
     fractions = math.sqrt(0.5) * np.array([-1.0, 0.0, 1.0])
     half_y, half_x = grid.half_widths_mm

@@ -302,7 +302,7 @@ class LightSettings(Settings):
             raise ValueError(ALLOWED) from None
         return value
 
-    def lights(self, scene: Scene) -> Scene:
+    def applied_to(self, scene: Scene) -> Scene:
         """Return the scene with this polarization and coating."""
         return replace(
             scene, polarization=read_polarization("polarization", self.polarization), coating=self.coating

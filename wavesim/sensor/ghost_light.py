@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lensdesign.analysis.ghost_maps import added, ghost_maps
+from lensdesign.analysis.ghost_maps import ghost_maps, sum_on_pixels
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
@@ -84,4 +84,4 @@ def ghost_light(
         surface_perturbations=state.surface_perturbations,
         sensor_pose=sensor_pose,
     )
-    return added(maps, sensor.pixels[::-1])
+    return sum_on_pixels(maps, sensor.pixels[::-1])

@@ -221,7 +221,7 @@ def image(
             )
             return hand_over_tiles(_with_ghosts(engine, settings))
 
-        engine = make(settings.lights(recorded_scene(lens, patch, windows[0], recording)))
+        engine = make(settings.applied_to(recorded_scene(lens, patch, windows[0], recording)))
         memory = Memory(imaging_bytes(engine, sensor, windows, recording), limit)
         predicted_error = predicted_error_of(engine, Light(behind_object))
         scratch = scratch_in(folder, memory.room_for_arrays("this picture"))

@@ -136,7 +136,7 @@ def test_the_power_of_every_path_is_that_of_a_written_out_trace(coating, film):
 
 def test_paths_are_listed_by_their_power():
     found = ghost_paths(with_sensor(PAPER))
-    assert not found.is_what_if
+    assert not found.assumes_bare_surfaces
     assert len(found.paths) == 2 * 10
     for distance in PAPER.sensor.plane_distances_mm:
         powers = [path.power for path in found.paths if path.plane_distance_mm == distance]
@@ -154,7 +154,7 @@ def test_a_coating_weakens_ghosts_and_ideal_ones_are_taken_as_bare():
         ghost_paths(PAPER.replaced(surfaces=tuple(s.replaced(coating=c) for s in PAPER.surfaces)))
         for c in ("bare", "mgf2", "ideal")
     )
-    assert ideal.is_what_if
+    assert ideal.assumes_bare_surfaces
     assert ideal.paths == bare.paths
     assert coated.paths[0].power < 0.5 * bare.paths[0].power
     # On the axis both reflect as at normal incidence.

@@ -7,7 +7,7 @@ import pytest
 
 from lensdesign import CoverGlass, InputError, load_design
 from lensdesign.analysis.double_reflections import ghost_paths
-from lensdesign.analysis.ghost_maps import added, ghost_maps
+from lensdesign.analysis.ghost_maps import ghost_maps, sum_on_pixels
 
 PAPER = load_design("designs/paper_singlet.toml")
 CENTRE = np.zeros((1, 2)), np.ones(1)
@@ -63,7 +63,7 @@ def test_paths_within_the_lens_can_be_left_out():
 
 def test_ideal_coatings_have_no_ghosts():
     assert ghost_maps(PAPER, *CENTRE, 2.0, (30.0, 22.0), rays=2000) == ()
-    assert not added((), (5, 7)).any()
+    assert not sum_on_pixels((), (5, 7)).any()
     narrow = PAPER.with_surface(1, semi_diameter_mm=1e-3)
     with pytest.raises(InputError, match="no ray of the object points"):
         ghost_maps(narrow, np.array([[0.0, 1.0]]), np.ones(1), 2.0, (30.0, 22.0), rays=1000)
@@ -72,6 +72,6 @@ def test_ideal_coatings_have_no_ghosts():
 def test_pixels_keep_the_power_of_the_maps():
     maps = ghost_maps(with_sensor(), *CENTRE, 2.0, (30.0, 22.0), rays=5000)
     for shape in ((219, 292), (48, 48), (10, 13)):
-        pixels = added(maps, shape)
+        pixels = sum_on_pixels(maps, shape)
         assert pixels.shape == shape
         assert pixels.sum() == pytest.approx(sum(one.power for one in maps), rel=1e-12)
