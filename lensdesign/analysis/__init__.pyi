@@ -5,6 +5,7 @@ from .exit_beam import footprint, largest_spread_angle, observation_distance_mm,
 from .form_error import form_errors, pv_rms_waves
 from .ghosts import GhostReport, ghost_report
 from .moulding import MouldingCheck, moulding_checks
+from .oversampling import Oversampling, oversampling_of
 from .paraxial import cardinal_points, first_order
 from .report import CheckReport
 from .roughness import RoughnessReport, roughness_report
@@ -19,6 +20,7 @@ __all__ = [
     "GhostReport",
     "GhostSampling",
     "MouldingCheck",
+    "Oversampling",
     "RoughnessReport",
     "SagTable",
     "cardinal_points",
@@ -33,6 +35,7 @@ __all__ = [
     "match",
     "moulding_checks",
     "observation_distance_mm",
+    "oversampling_of",
     "pv_rms_waves",
     "rms_spot_diameter",
     "roughness_report",
