@@ -127,6 +127,14 @@ class ForwardModel:
             for p in self.recorded
         ]
 
+    def engine_of(self, mode: SourceMode) -> Operator:
+        """Return the operator to the exit grid for the wavelength and component of a mode."""
+        return self._engines[mode.wavelength_um, mode.component]
+
+    def propagators_of(self, mode: SourceMode) -> list[PlanePropagator]:
+        """Return the propagators from the exit grid to all planes for the wavelength of a mode."""
+        return self._propagators_of[mode.wavelength_um]
+
     @property
     def weights(self) -> list[RealArray | None]:
         """Weights of the pixels of all planes; None where all weights are 1."""

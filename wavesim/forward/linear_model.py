@@ -34,8 +34,11 @@ from wavesim.forward.pixel_means import (
     half_sample,
     tilt_changes,
 )
+from wavesim.forward.source_modes import ModesMeasurement, ModesOperator
 from wavesim.runtime.threads import for_blocks, rows_in
+from wavesim.scene.engine import Operator
 from wavesim.scene.light_errors import Orders, light_mode
+from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import amplitude_bias
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -170,15 +173,17 @@ class FreeSpaceMeasurement:
         Forward model of the bench.
     values
         Field on the exit grid.
+    mode
+        Mode of the source to which the field belongs; default: light of the middle of the source.
     """
 
-    def __init__(self, model: ForwardModel, values: ComplexArray) -> None:
-        self.model, self._wavelength_um = model, model.illumination.wavelength_um
+    def __init__(self, model: ForwardModel, values: ComplexArray, mode: SourceMode | None = None) -> None:
+        self.model = model
+        self._wavelength_um = model.illumination.wavelength_um if mode is None else mode.wavelength_um
+        propagators = model.propagators if mode is None else model.propagators_of(mode)
         self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
         self.spectrum: ComplexArray = scipy.fft.fft2(values, workers=-1)
-        self.planes = [
-            CachedSamples(self.pixels, self.spectrum, propagator) for propagator in model.propagators
-        ]
+        self.planes = [CachedSamples(self.pixels, self.spectrum, propagator) for propagator in propagators]
 
     def intensities(self) -> list[RealArray]:
         return [plane.intensity() for plane in self.planes]
@@ -262,6 +267,10 @@ class LinearModel:
 
     Attributes
     ----------
+    engine : Operator
+        Operator from the light behind the object to the exit grid, or to one for each mode of the source.
+    measurement : MeasurementOperator
+        Pixels of all planes.
     residual : ndarray, shape (planes, ny, nx)
         Measured less modelled amplitudes.
     misfit : float
@@ -274,11 +283,10 @@ class LinearModel:
 
     def __init__(self, model: ForwardModel, transmission: ComplexArray, fits_scale: bool) -> None:
         self.model, self.lit = model, self._object_field(model, transmission)
-        exit_field = model.engine.forward(self.lit)
+        self.engine: Operator = ModesOperator(model) if model.modes else model.engine
+        exit_field = self.engine.forward(self.lit)
         self._index = exit_field.index
-        self.measurement: MeasurementOperator = (PixelMeasurement if model.rows else FreeSpaceMeasurement)(
-            model, exit_field.values
-        )
+        self.measurement = _measurement(model, exit_field.values)
         self._root_weights = [
             np.float32(1.0) if weight is None else np.sqrt(weight) for weight in model.weights
         ]
@@ -362,13 +370,13 @@ class LinearModel:
     def jacobian_times_object(self, change: NDArray[Any]) -> RealArray:
         """Return the change of the modelled amplitudes for a change of the transmission."""
         return self.jacobian_times_exit_field(
-            self.model.engine.forward(self._object_field(self.model, change)).values
+            self.engine.forward(self._object_field(self.model, change)).values
         )
 
     def exit_field_change_of_light(self, change: NDArray[Any]) -> ComplexArray:
         """Return the change of the field on the exit grid for a relative change of the illumination."""
         lit = self.lit.with_values((self.lit.values * change).astype(self.lit.values.dtype))
-        return self.model.engine.forward(lit).values
+        return self.engine.forward(lit).values
 
     def jacobian_times_background(self, plane: int, orders: Orders = (0, 0)) -> RealArray:
         """Return the change of the modelled amplitudes for a background equal to the mean intensity.
@@ -416,10 +424,8 @@ class LinearModel:
         change = self.measurement.adjoint(
             [slope * part for slope, part in zip(self._slopes, residuals, strict=True)]
         )
-        scene = self.model.engine.scene
-        on_object = self.model.engine.adjoint(
-            Field(scene.exit_grid, change, self.lit.wavelength_um, self._index)
-        )
+        scene = self.engine.scene
+        on_object = self.engine.adjoint(Field(scene.exit_grid, change, self.lit.wavelength_um, self._index))
         # The adjoint of an engine refers to integrals, not to sums of samples.
         cells = np.float32(scene.object_grid.cell / scene.exit_grid.cell)
         return np.asarray(cells * on_object.values * self.model.illumination.values.conj())
@@ -450,6 +456,19 @@ class LinearModel:
             cross += _sum(weight**2 * clean * np.sqrt(modelled))
             power += _sum(weight**2 * modelled)
         return cross / power if cross > 0.0 < power else 1.0
+
+
+def _measurement(model: ForwardModel, values: ComplexArray) -> MeasurementOperator:
+    """Return the pixels of all planes for a field on the exit grid, or for the stacked fields of modes."""
+    if model.rows:
+        return PixelMeasurement(model, values)
+    if not model.modes:
+        return FreeSpaceMeasurement(model, values)
+    parts = np.split(values, len(model.modes))
+    measurements = [
+        FreeSpaceMeasurement(model, part, mode) for part, mode in zip(parts, model.modes, strict=True)
+    ]
+    return ModesMeasurement(model, measurements)
 
 
 def _sum(values: RealArray) -> float:

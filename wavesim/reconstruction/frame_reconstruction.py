@@ -261,8 +261,11 @@ def _run(
     start = None
     if "find" in (settings.source_deg, settings.bandwidth_nm):
         with engine_on(case.light.grid) as engine:
-            source, start = find_source(engine, case.light, case.given, settings, reporter.step)
-        case = case._replace(source=source)
+            found_source = find_source(
+                engine, case.light, case.given, settings, reporter.step, known=case.source
+            )
+        start = found_source.transmission
+        case = case._replace(source=found_source.source, source_deviations=found_source.deviations)
     if settings.method == "paper":
         found = _retrieve(case, settings, engine_on, reporter)
     else:
@@ -403,10 +406,7 @@ def _find_object(
     }
     if replaced:
         of_method["engine_replaced"] = replaced
-    if settings.source_deg:
-        of_method["source_deg"] = case.source.width_deg
-    if settings.bandwidth_nm:
-        of_method["bandwidth_nm"] = case.source.bandwidth_nm
+    of_method |= _source_summary(case, settings)
     shown_part, field_behind = cut_field(found.transmission, case.refocus_grid), None
     if settings.focus_mm is not None:
         field_behind = shown_part.with_values(
@@ -417,6 +417,19 @@ def _find_object(
     return case, MethodResult(
         transmission, field_behind, maps, curve, of_method, agreement, whole, errors, model_error
     )
+
+
+def _source_summary(case: ReconstructionProblem, settings: ReconstructionSettings) -> dict[str, Any]:
+    """Return the widths of the source that are not 0 or were sought, and standard deviations of the latter."""
+    names = {"width_deg": ("source_deg", settings.source_deg), "bandwidth_nm": ("bandwidth_nm", settings.bandwidth_nm)}
+    summary = {}
+    for attribute, (name, requested) in names.items():
+        width = getattr(case.source, attribute)
+        if width or requested:
+            summary[name] = width
+        if attribute in case.source_deviations:
+            summary[f"{name}_deviation"] = case.source_deviations[attribute]
+    return summary
 
 
 def _solve(

@@ -8,9 +8,10 @@ rim of the aperture (:func:`light_of_frames`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,6 +90,8 @@ class ReconstructionProblem(NamedTuple):
         Illumination of the object.
     source : Source
         Light source, with its angular width and its bandwidth.
+    source_deviations : mapping
+        Standard deviations of the widths of the source that were found, by name.
     planes : tuple of PlaneFrames
         Distance, exposures and saturation of each plane.
     recorded : tuple of Measurement
@@ -152,6 +155,7 @@ class ReconstructionProblem(NamedTuple):
     calibrated: bool
     rounding: float
     light_behind: Callable[[Patch], Field]
+    source_deviations: Mapping[str, float] = MappingProxyType({})
 
     @property
     def modes(self) -> tuple[SourceMode, ...]:
@@ -202,17 +206,13 @@ def reconstruction_problem(
         recorded = _with_scatter(lens, recorded, framed, AS_DESIGNED if state is None else state)
     recorded, held_out = hold_out(recorded, settings.hold_out_plane)
     frame_light = light_of_frames(scene, framed.frames, light)
-    # A source that is to be found counts as extended, and as broad as it may be, until it is known.
-    source = Source(
-        1.0 if settings.source_deg == "find" else settings.source_deg,
-        BROADEST * coherent_nm(light) if settings.bandwidth_nm == "find" else settings.bandwidth_nm,
-    )
+    source = _planned_source(settings, light, AS_DESIGNED if state is None else state)
     modes = modes_on(light, source)
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
     engine = _engine(scene, settings, runs, limit, frame_light)
     if settings.cluster is not None:
         validate_tiled(engine)
-        if settings.bandwidth_nm:
+        if source.bandwidth_nm:
             raise SettingError(
                 "{bandwidth_nm}: cannot be used with {cluster}, whose tiles are of one wavelength"
             )
@@ -230,7 +230,7 @@ def reconstruction_problem(
     )
     memory = Memory(need, limit)
     scratch = scratch_in(folder, _scratch_limit(memory, settings))
-    key = _key(lens, framed.frames, settings, light, recorded, engine)
+    key = _key(lens, framed.frames, settings, light, recorded, engine, source)
     predicted_error, even = engine.predicted_error(frame_light), frame_light.even
     stored_light = light.with_values(scratch.held(light.values, "the illumination"))
 
@@ -267,6 +267,19 @@ def reconstruction_problem(
         calibrated=state is not None,
         rounding=max(rounding_fraction(frame) for frame in framed.frames),
         light_behind=lambda other: _light_behind(other, settings, state),
+    )
+
+
+def _planned_source(settings: ReconstructionSettings, light: Field, state: SystemState) -> Source:
+    """Return the source that settings state, or else that of the calibrated bench.
+
+    A source that is to be found counts as extended, and as broad as it may be, until it is known.
+    """
+    width_deg = settings.source_deg or state.source.width_deg
+    bandwidth_nm = settings.bandwidth_nm or state.source.bandwidth_nm
+    return Source(
+        1.0 if width_deg == "find" else width_deg,
+        BROADEST * coherent_nm(light) if bandwidth_nm == "find" else bandwidth_nm,
     )
 
 
@@ -387,6 +400,7 @@ def _key(
     light: Field,
     recorded: Sequence[Measurement],
     engine: Engine,
+    source: Source,
 ) -> str:
     names = set(KEY_SETTINGS)
     if settings.bandwidth_nm:  # left out otherwise, so that earlier checkpoints stay usable
@@ -396,7 +410,10 @@ def _key(
         (p.distance_mm, p.shift_mm, p.tilt_deg, None if p.background is None else float(p.background.mean()))
         for p in recorded
     ]
-    return key_of_frames(lens, frames, light, settings_json, engine.key(), str((light.grid.z_mm, planes)))
+    stated = Source(*(0.0 if w == "find" else w for w in (settings.source_deg, settings.bandwidth_nm)))
+    is_calibrated = source != stated and "find" not in (settings.source_deg, settings.bandwidth_nm)
+    bench = (light.grid.z_mm, planes, source) if is_calibrated else (light.grid.z_mm, planes)
+    return key_of_frames(lens, frames, light, settings_json, engine.key(), str(bench))
 
 
 class FramePatch(NamedTuple):

@@ -1,52 +1,84 @@
-"""Angular width or bandwidth of the light source, found from the frames of an unknown object.
+"""Angular width and bandwidth of the light source, found from the frames of an unknown object.
 
 A source of the width w blurs a plane's intensity by an amount that grows as w^2, whether w is an angle or a
-band of wavelengths. An object is sought for some iterations with a source of one width. The intensities of
-the result, I(w) with that source and I(0) with a coherent one, then give the blur of the measured intensity
-by least squares:
-
-    measured = I(w) + (k - 1) (I(w) - I(0)),    w <- w sqrt(k).
-
-The search for the object continues from there until the width converges.
+band of wavelengths. An object is sought for some iterations with a source of given widths. About it, a
+Gauss-Newton step estimates the squared widths from what the object cannot imitate
+(:mod:`wavesim.reconstruction.object_response`). The search for the object continues from there until the
+widths converge. Angles blur all parts of a plane alike, and wavelengths blur parts far from the axis most, so
+that both can be found together.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.linear_model import LinearModel
+from wavesim.forward.source_modes import ModesMeasurement
+from wavesim.reconstruction.object_response import following_change, free_samples
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Engine
-from wavesim.scene.settings import ReconstructionSettings
-from wavesim.scene.source import Source, SourceMode
+from wavesim.scene.settings import FramedSettings, ReconstructionSettings
+from wavesim.scene.source import POINT, Source, SourceMode
 from wavesim.sensor.measurement import Measurement
 
-Array = NDArray[np.floating[Any]]
+MOST_WIDTHS, ITERATIONS = 12, 6
+"""Largest number of sources that are tried, and iterations of the object with each."""
 
-MOST_WIDTHS, ITERATIONS = 8, 6
-"""Largest number of widths, and iterations of the object with each."""
-
-BROADEST = 3.0
+BROADEST = 8.0
 """Largest bandwidth that is sought, over the one that shifts the steepest light by a speckle.
 
 Each wavelength needs an engine, and a broader band needs more of them.
 """
+
+WIDTHS = "width_deg", "bandwidth_nm"
+"""Names of the widths of a source."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundSource:
+    """A source that was found from frames.
+
+    Attributes
+    ----------
+    source : Source
+        The source.
+    deviations : dict
+        Standard deviation of each width that was sought, by its name (`WIDTHS`). For a width of 0 it is the
+        width up to which the frames cannot exclude a source.
+    transmission : Field
+        The object found with it.
+    """
+
+    source: Source
+    deviations: dict[str, float]
+    transmission: Field
+
+
+def sought_widths(settings: FramedSettings) -> tuple[str, ...]:
+    """Return the names of the widths (`WIDTHS`) that settings ask to find."""
+    values = settings.source_deg, settings.bandwidth_nm
+    return tuple(name for name, value in zip(WIDTHS, values, strict=True) if value == "find")
 
 
 def find_source(
     engine: Engine,
     light: Field,
     recorded: Sequence[Measurement],
-    settings: ReconstructionSettings,
+    settings: FramedSettings,
     progress: Callable[[str], None],
-) -> tuple[Source, Field]:
+    *,
+    known: Source = POINT,
+    start: Field | None = None,
+) -> FoundSource:
     """Return the source of the light, and the object found with it.
 
     Parameters
@@ -54,34 +86,31 @@ def find_source(
     engine, light, recorded
         See :func:`wavesim.reconstruct`; the planes have standard deviations.
     settings
-        Settings of the reconstruction. Either `source_deg` or `bandwidth_nm` is "find".
+        Settings of the reconstruction or calibration. `source_deg`, `bandwidth_nm` or both are "find".
     progress
-        Called with a message for each width that is tried.
+        Called with a message for each source that is tried.
+    known
+        Source with the width that is known; widths that are sought are ignored.
+    start
+        Object with which the search starts; default: an even one.
     """
-    if settings.bandwidth_nm == "find":
-        assert settings.source_deg != "find"
-        known = Source(width_deg=settings.source_deg)
-        coherent_width, message = coherent_nm(light), "bandwidth of the light: {:.3g} nm"
-        largest_width = BROADEST * coherent_width
-    else:
-        known = Source(bandwidth_nm=settings.bandwidth_nm)
-        coherent_width, message = coherent_deg(light), "width of the source: {:.3g}°"
-        largest_width = math.inf
-
-    def source_of(width: float) -> Source:
-        is_band = settings.bandwidth_nm == "find"
-        return replace(known, bandwidth_nm=width) if is_band else replace(known, width_deg=width)
-
-    width, start = coherent_width, light.with_values(np.ones_like(light.values))
-    # Relative change of the width at which the search ends.
+    sought = sought_widths(settings)
+    units = {"width_deg": coherent_deg(light), "bandwidth_nm": coherent_nm(light)}
+    largest = {"width_deg": math.inf, "bandwidth_nm": BROADEST * units["bandwidth_nm"]}
+    source = replace(known, **{name: units[name] for name in sought})
+    transmission = start or light.with_values(np.ones_like(light.values))
+    # Relative change of a width at which the search ends.
     tolerance = 0.02
-    # Largest factor by which the width changes at a time.
-    largest_factor = 2.0
+    # Largest factors by which a width decreases and increases at a time.
+    least_factor, largest_factor = 0.25, 2.0
     # Smallest width over that at which half of the object is lit coherently. Narrower sources are points.
     least_width = 0.1
+    deviations = dict[str, float]()
     for _ in range(MOST_WIDTHS):
-        progress(message.format(width))
-        modes = modes_on(light, source_of(width))
+        names = [name for name in sought if getattr(source, name)]
+        if not names:
+            break
+        progress(_source_text(source, names))
         found = reconstruct(
             engine,
             light,
@@ -90,23 +119,102 @@ def find_source(
             tv_weight=settings.tv_weight,
             iterations=ITERATIONS,
             scale=settings.scale,
-            start=start,
+            start=transmission,
             fill_factor=settings.fill_factor,
-            modes=modes,
+            modes=modes_on(light, source),
         )
-        start = found.transmission
-        wide, point = (
-            ForwardModel(engine, light, recorded, found.scale, settings.fill_factor, modes=of)
-            for of in (modes, modes_on(light, known))
+        transmission = found.transmission
+        model = ForwardModel(
+            engine, light, recorded, found.scale, settings.fill_factor, modes=modes_on(light, source)
         )
-        ratio = blur_ratio(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))
-        factor = math.sqrt(min(max(ratio, largest_factor**-2), largest_factor**2))
-        previous, width = width, min(width * factor, largest_width)
-        if width < least_width * coherent_width:
-            return source_of(0.0), start
-        if abs(width - previous) < tolerance * previous:
+        is_real = settings.kind == "amplitude"
+        values = transmission.values.real if is_real else transmission.values
+        linear = LinearModel(model, values, settings.scale is None)
+        squares, variances = squared_widths(linear, source, names, values)
+        has_converged = True
+        for name, square, variance in zip(names, squares.tolist(), variances.tolist(), strict=True):
+            width = getattr(source, name)
+            new = math.sqrt(max(square, (least_factor * width) ** 2))
+            new = min(new, largest_factor * width, largest[name])
+            # Deviations of the square up to which a source counts as a point.
+            deviation, point_deviations = math.sqrt(variance), 2.0
+            is_point = square < point_deviations * deviation or new < least_width * units[name]
+            if is_point and new < 0.5 * units[name]:
+                new, deviations[name] = 0.0, math.sqrt(max(square, 0.0) + point_deviations * deviation)
+            else:
+                deviations[name] = deviation / (2.0 * new)
+            has_converged = has_converged and abs(new - width) < tolerance * width
+            source = replace(source, **{name: new})
+        if has_converged:
             break
-    return source_of(width), start
+    return FoundSource(source, deviations, transmission)
+
+
+def squared_widths(
+    linear: LinearModel, source: Source, names: Sequence[str], values: NDArray[Any]
+) -> tuple[Array, Array]:
+    """Return the estimates of squared widths of a source, and their variances.
+
+    Parameters
+    ----------
+    linear
+        Linear model about an object in light of the source.
+    source
+        The source; the widths that are estimated are not 0.
+    names
+        Names of the widths (`WIDTHS`).
+    values
+        Transmission of the object, real for an amplitude object.
+    """
+    is_real, is_free = not np.iscomplexobj(values), free_samples(linear, values)
+    remainders = []
+    for name, column in zip(names, source_columns(linear, source, names), strict=True):
+        following = following_change(linear, column, is_free, is_real)
+        remainders.append(np.ravel(column + linear.jacobian_times_object(following)))
+    columns = np.stack(remainders)
+    residual = linear.unbiased_residual().ravel()
+    noise = linear.residual_variances(0.0)
+    assert noise is not None
+    # A misfit beyond the noise is an error of the model, which limits the information like noise.
+    excess = max(1.0, float(np.vdot(residual, residual)) / float(noise.sum(dtype=float)))
+    hessian = np.asarray(columns @ columns.T, float)
+    power = np.asarray((columns * noise.ravel()) @ columns.T, float) * excess
+    inverse = np.linalg.inv(hessian)
+    widths = np.array([getattr(source, name) for name in names])
+    steps = inverse @ np.asarray(columns @ residual, float)
+    return widths**2 + steps, np.diag(inverse @ power @ inverse)
+
+
+def source_columns(linear: LinearModel, source: Source, names: Sequence[str]) -> list[Array]:
+    """Return the changes of the modelled amplitudes per squared width of the source, by its modes.
+
+    Parameters
+    ----------
+    linear
+        Linear model in light of the source.
+    source
+        The source; the widths that change are not 0.
+    names
+        Names of the widths (`WIDTHS`).
+    """
+    measurement, light = linear.measurement, linear.model.illumination
+    assert isinstance(measurement, ModesMeasurement)
+    changes = source.few_mode_changes(light.wavelength_um, samples=max(light.grid.shape))
+    factors = dict(zip(WIDTHS, changes, strict=True))
+    return [
+        linear.amplitude_changes(
+            [np.float32(0.5) * each for each in measurement.weighted_intensities(factors[name])]
+        )
+        for name in names
+    ]
+
+
+def _source_text(source: Source, names: Sequence[str]) -> str:
+    texts = {
+        "width_deg": f"width of the source: {source.width_deg:.3g}°",
+        "bandwidth_nm": f"bandwidth of the light: {source.bandwidth_nm:.3g} nm",
+    }
+    return ", ".join(texts[name] for name in names)
 
 
 def modes_on(light: Field, source: Source) -> list[SourceMode]:
@@ -135,29 +243,3 @@ def coherent_nm(light: Field) -> float:
 def _diameter_mm(light: Field) -> float:
     lit = np.abs(light.values) > 1e-3 * np.abs(light.values).max()
     return 2.0 * math.sqrt(np.count_nonzero(lit) * light.grid.cell / math.pi)
-
-
-def blur_ratio(
-    recorded: Sequence[Measurement],
-    model: ForwardModel,
-    wide: Sequence[Array],
-    point: Sequence[Array],
-) -> float:
-    """Return the blur of measured planes over that of a source: 1 for equal blur, 0 for a coherent source.
-
-    Parameters
-    ----------
-    recorded
-        Measured planes.
-    model
-        Forward model, which holds the weights of the planes.
-    wide, point
-        Amplitudes on the planes for the source, and for a coherent one.
-    """
-    cross = power = 0.0
-    for plane, weight, broad, sharp in zip(recorded, model.weights, wide, point, strict=True):
-        slope = (broad**2 - sharp**2) / np.maximum(2.0 * broad, 1e-6 * broad.max())
-        weighted = slope if weight is None else weight * slope
-        cross += float(np.vdot(weighted, plane.amplitude - broad))
-        power += float(np.vdot(weighted, slope))
-    return 1.0 + cross / power if power > 0.0 else 1.0

@@ -539,6 +539,28 @@ class FramedSettings(EngineSettings, PatchSettings):
         description="Linear fill factor of a pixel (0 to 1).",
         json_schema_extra={"group": OptionGroup.CAMERA},
     )
+    source_deg: float | Literal["find"] = Field(
+        0.0,
+        description="Diameter of the light source (partial coherence), or find.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
+    bandwidth_nm: float | Literal["find"] = Field(
+        0.0,
+        description="Full width of the light's rectangular spectrum, or find.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
+
+    @field_validator("source_deg", "bandwidth_nm")
+    @classmethod
+    def _width_within_limits(cls, width: float | str, info: ValidationInfo) -> float | str:
+        limits = {
+            "source_deg": (90.0, "from 0 to below 90"),
+            "bandwidth_nm": (math.inf, "finite and not negative"),
+        }
+        limit, allowed = limits[str(info.field_name)]
+        if not isinstance(width, str) and not 0.0 <= width < limit:
+            raise ValueError(f"must be {allowed}, or 'find'")
+        return width
 
     @field_validator("field_stop")
     @classmethod
@@ -612,16 +634,6 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         json_schema_extra={"group": OptionGroup.EVALUATION},
     )
     starts: int = Field(1, ge=1, description="Number of starts, whose results are compared (method object).")
-    source_deg: float | Literal["find"] = Field(
-        0.0,
-        description="Diameter of the light source (partial coherence), or find (method object).",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
-    )
-    bandwidth_nm: float | Literal["find"] = Field(
-        0.0,
-        description="Full width of the light's rectangular spectrum, or find (method object).",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
-    )
     region_mm: tuple[float, float, float, float] | None = Field(
         None,
         description="x,y,width,height: region of the object that is evaluated and written.",
@@ -650,25 +662,15 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
             raise SettingError("{chart_at_mm}: requires {usaf}")
         return points
 
-    @field_validator("source_deg", "bandwidth_nm")
+    @field_validator("method")
     @classmethod
-    def _of_objects(cls, width: float | str, info: ValidationInfo) -> float | str:
-        limits = {
-            "source_deg": (90.0, "from 0 to below 90"),
-            "bandwidth_nm": (math.inf, "finite and not negative"),
-        }
-        limit, allowed = limits[str(info.field_name)]
-        if not isinstance(width, str) and not 0.0 <= width < limit:
-            raise ValueError(f"must be {allowed}, or 'find'")
-        if width and info.data.get("method") == "paper":
-            raise SettingError(
-                f"{{{info.field_name}}}: cannot be used with {{method}} paper, which assumes coherent light"
-            )
-        if width == "find" == info.data.get("source_deg") and info.field_name == "bandwidth_nm":
-            raise SettingError(
-                "{bandwidth_nm}: cannot be found together with {source_deg}; state one of them"
-            )
-        return width
+    def _coherent_for_paper(cls, method: str, info: ValidationInfo) -> str:
+        for name in ("source_deg", "bandwidth_nm"):
+            if method == "paper" and info.data.get(name):
+                raise SettingError(
+                    f"{{{name}}}: cannot be used with {{method}} paper, which assumes coherent light"
+                )
+        return method
 
     @property
     def most_iterations(self) -> int:

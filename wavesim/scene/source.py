@@ -42,6 +42,21 @@ class SourceMode(NamedTuple):
         return replace(LightErrors(self.tilt_deg).on(light), wavelength_um=self.wavelength_um)
 
 
+class SourceChanges(NamedTuple):
+    """Factors of the intensities of modes that give the change of their mean with the source.
+
+    Attributes
+    ----------
+    by_squared_width : tuple of float
+        Factors per squared angular width in deg^2.
+    by_squared_bandwidth : tuple of float
+        Factors per squared bandwidth in nm^2.
+    """
+
+    by_squared_width: tuple[float, ...]
+    by_squared_bandwidth: tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class Source:
     """An even disc of directions, and an even band of wavelengths about the light's wavelength.
@@ -117,6 +132,37 @@ class Source:
             ring = [(0.125, (radius * math.cos(angle), radius * math.sin(angle))) for angle in angles]
             directions = [(0.25, (0.0, 0.0)), *ring]
         return self._modes(directions, FEW_COLOURS, wavelength_um, samples)
+
+    def few_mode_changes(self, wavelength_um: float, *, samples: int = 1) -> SourceChanges:
+        """Return how a sum over the modes of :meth:`few_modes` changes with the source.
+
+        Parameters
+        ----------
+        wavelength_um, samples
+            See :meth:`few_modes`.
+
+        Returns
+        -------
+        SourceChanges
+            Factors of the intensities of the modes, in their order. Their sum is the change of the mean
+            intensity; it is 0 for a parameter of the source that is 0.
+        """
+        directions = 1 if not self.width_deg else 7
+        modes = self.few_modes(wavelength_um, samples=samples)
+        weights = np.array([mode.weight for mode in modes]).reshape(-1, directions)
+        by_width, by_band = np.zeros_like(weights), np.zeros_like(weights)
+        if self.width_deg:
+            # Mean over the disc of an intensity that is quadratic in the direction.
+            band = weights.sum(1)[:, None]
+            by_width = band * np.array([-0.75, *6 * (0.125,)]) / self.width_deg**2
+        if self.bandwidth_nm:
+            # Derivative of the mean of each Legendre polynomial over the band by its squared width.
+            colours = len(weights)
+            nodes = np.polynomial.legendre.leggauss(colours)[0]
+            factors = [0.5 * (2 * j + 1) * (j % 2 == 0 < j) for j in range(colours)]
+            series = np.polynomial.legendre.legval(nodes, factors)
+            by_band = weights * series[:, None] / self.bandwidth_nm**2
+        return SourceChanges(tuple(by_width.ravel().tolist()), tuple(by_band.ravel().tolist()))
 
     def _modes(
         self,

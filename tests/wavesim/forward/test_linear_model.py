@@ -14,6 +14,7 @@ from wavesim.fields.tilted_planes import TiltedPropagator
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
 from wavesim.forward.pixel_means import PixelMeans
+from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import Measurement, placed_planes, recorded_intensity
 
@@ -183,3 +184,28 @@ def test_residuals_without_bias_have_the_mean_0_where_few_electrons_fall() -> No
         plain += linear.residual[0] / draws
         corrected += linear.unbiased_residual()[0] / draws
     assert abs(corrected.mean()) < 0.2 * abs(plain.mean())
+
+
+@pytest.mark.parametrize("source", [Source(2.0), Source(bandwidth_nm=60.0)])
+def test_slopes_in_light_of_a_source(parts: tuple, source: Source) -> None:
+    """The residuals are those of the forward model, and the adjoint belongs to the differences."""
+    engine, lit, planes, now = parts
+    modes = source.few_modes(0.532, samples=lit.grid.shape[0])
+
+    def at(transmission: np.ndarray) -> LinearModel:
+        return LinearModel(ForwardModel(engine, lit, planes, 2.0, 1.0, modes=modes), transmission, False)
+
+    here, rng, step = at(now), np.random.default_rng(4), 1e-4
+    modelled = here.model.amplitudes(now)
+    root = [np.sqrt(weight) for weight in here.model.weights]
+    for plane, weight, amplitude, residual in zip(planes, root, modelled, here.residual, strict=True):
+        np.testing.assert_allclose(
+            residual * here.size, weight * (plane.amplitude - amplitude), atol=2e-4 * float(amplitude.max())
+        )
+    direction = rng.standard_normal(now.shape) + 1j * rng.standard_normal(now.shape)
+    change = here.jacobian_times_object(direction)
+    difference = (here.residual - at(now + step * direction).residual) / step
+    assert float(np.linalg.norm(change - difference)) < 0.02 * float(np.linalg.norm(difference))
+    left = rng.standard_normal(here.residual.shape)
+    forward = float(np.vdot(change, left))
+    assert float(np.vdot(direction, here.adjoint_to_object(left)).real) == pytest.approx(forward, rel=1e-4)

@@ -66,7 +66,6 @@ def test_settings_that_do_not_go_are_refused_by_name(imaged: Imaged, tmp_path: P
         ({"source_deg": 90.0}, "source_deg: must be from 0 to below 90"),
         ({"method": "paper", "bandwidth_nm": 4.0}, "bandwidth_nm: cannot be used with method paper"),
         ({"bandwidth_nm": -1.0}, "bandwidth_nm: must be finite and not negative"),
-        ({"bandwidth_nm": "find", "source_deg": "find"}, "bandwidth_nm: cannot be found together"),
     ):
         with pytest.raises(InputError, match=message):
             reconstruct_frames(LENS, imaged.frames[:1], folder=tmp_path, **{"patch_mm": 0.05} | changes)

@@ -11,7 +11,7 @@ import pytest
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.reconstruction.source_search import blur_ratio, coherent_deg, coherent_nm, find_source
+from wavesim.reconstruction.source_search import coherent_deg, coherent_nm, find_source
 from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import ReconstructionSettings
@@ -90,11 +90,11 @@ def test_the_width_of_a_source_is_found_with_the_object(fraction: float) -> None
     settings = ReconstructionSettings(kind="amplitude", source_deg="find")
     messages: list[str] = []
     planes = planes_in(engine, light, Source(width_deg).modes(0.532, 3, 10))
-    found, start = find_source(engine, light, planes, settings, messages.append)
-    assert found.width_deg == pytest.approx(width_deg, rel=0.05)
-    assert found.bandwidth_nm == 0.0
+    found = find_source(engine, light, planes, settings, messages.append)
+    assert found.source.width_deg == pytest.approx(width_deg, rel=0.05)
+    assert found.source.bandwidth_nm == 0.0
     assert messages[0] == f"width of the source: {coherent_deg(light):.3g}°"
-    assert start.grid == light.grid
+    assert found.transmission.grid == light.grid
 
 
 @pytest.mark.parametrize(("fraction", "width_deg"), [(0.0, 0.0), (1.5, 0.0), (1.5, 0.3)])
@@ -105,20 +105,21 @@ def test_the_bandwidth_is_found_with_the_object(fraction: float, width_deg: floa
     bandwidth_nm = fraction * coherent_nm(light)
     settings = ReconstructionSettings(kind="amplitude", bandwidth_nm="find", source_deg=width_deg)
     planes = planes_in(engine, light, Source(width_deg, bandwidth_nm).modes(0.532))
-    found, _ = find_source(engine, light, planes, settings, lambda text: None)
-    assert found.bandwidth_nm == pytest.approx(bandwidth_nm, rel=0.05)
-    assert found.width_deg == width_deg
+    known = Source(width_deg)
+    found = find_source(engine, light, planes, settings, lambda text: None, known=known)
+    assert found.source.bandwidth_nm == pytest.approx(bandwidth_nm, rel=0.05)
+    assert found.source.width_deg == width_deg
+    assert 0.0 < found.deviations["bandwidth_nm"] < 0.5 * coherent_nm(light)
 
 
-def test_blur_ratio_follows_from_the_planes() -> None:
+def test_width_and_bandwidth_are_found_together() -> None:
     engine = far_field()
     light = lit_by(engine)
-    random = np.random.default_rng(5)
-    shape = engine.scene.exit_grid.shape
-    point = [1.0 + random.random(shape) for _ in DISTANCES_MM]
-    wide = [np.sqrt(one**2 + 1e-3 * random.standard_normal(shape)) for one in point]
-    for ratio in (0.0, 0.7, 1.0, 1.6):
-        seen = [np.sqrt(p**2 + ratio * (w**2 - p**2)) for p, w in zip(point, wide, strict=True)]
-        recorded = [Measurement(d, one) for d, one in zip(DISTANCES_MM, seen, strict=True)]
-        model = ForwardModel(engine, light, recorded, 1.0)
-        assert blur_ratio(recorded, model, wide, point) == pytest.approx(ratio, abs=2e-3)
+    true = Source(0.8 * coherent_deg(light), 1.2 * coherent_nm(light))
+    settings = ReconstructionSettings(kind="amplitude", source_deg="find", bandwidth_nm="find")
+    found = find_source(
+        engine, light, planes_in(engine, light, true.modes(0.532, 3, 10)), settings, lambda text: None
+    )
+    assert found.source.width_deg == pytest.approx(true.width_deg, rel=0.07)
+    assert found.source.bandwidth_nm == pytest.approx(true.bandwidth_nm, rel=0.07)
+    assert set(found.deviations) == {"width_deg", "bandwidth_nm"}

@@ -69,3 +69,28 @@ def test_sources_that_cannot_be_are_refused() -> None:
         Source(bandwidth_nm=1200.0).modes(0.5)
     with pytest.raises(InputError, match="below 0"):
         Source(bandwidth_nm=1200.0).few_modes(0.5)
+
+
+@pytest.mark.parametrize("source", [Source(2.0), Source(bandwidth_nm=20.0), Source(2.0, 20.0)])
+def test_changes_of_few_modes_are_those_of_their_means(source: Source) -> None:
+    """For an intensity whose mean over disc and band is known: 1 + |s|^2 (1 + x^2) + x^4, x in 10 nm."""
+
+    def mean_of(width_deg: float, bandwidth_nm: float) -> float:
+        radius_squared, half = (0.5 * width_deg) ** 2, 0.05 * bandwidth_nm
+        return 1.0 + 0.5 * radius_squared * (1.0 + half**2 / 3.0) + half**4 / 5.0
+
+    def intensity(mode: SourceMode) -> float:
+        x = 100.0 * (mode.wavelength_um - 0.5)
+        return 1.0 + (mode.tilt_deg[0] ** 2 + mode.tilt_deg[1] ** 2) * (1.0 + x**2) + x**4
+
+    modes = source.few_modes(0.5, samples=80)
+    changes = source.few_mode_changes(0.5, samples=80)
+    step = 1e-5
+    for factors, name in zip(changes, ("width_deg", "bandwidth_nm"), strict=True):
+        widths = {"width_deg": source.width_deg, "bandwidth_nm": source.bandwidth_nm}
+        found = sum(factor * intensity(mode) for factor, mode in zip(factors, modes, strict=True))
+        if widths[name] == 0.0:
+            assert found == 0.0
+            continue
+        after = widths | {name: math.sqrt(widths[name] ** 2 + step)}
+        assert found == pytest.approx((mean_of(**after) - mean_of(**widths)) / step, rel=1e-3)

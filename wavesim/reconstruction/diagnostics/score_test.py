@@ -35,6 +35,7 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
 from wavesim.metrics.contrast import object_correlation
 from wavesim.metrics.goodness_of_fit import Undetected
+from wavesim.reconstruction.object_response import following_change, free_samples
 from wavesim.reconstruction.source_search import coherent_deg, coherent_nm
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -164,11 +165,11 @@ def score_test(
     columns |= _plane_columns(linear)
     progress("effect of the source")
     columns |= _source_columns(linear, model, values)
-    free_samples = _free_samples(linear, values)
+    is_free = free_samples(linear, values)
     following_changes = []
     for name, column in columns.items():
         progress(f"effect of {name} with the best object")
-        following_changes.append(_following_change(linear, column, free_samples, kind == "amplitude"))
+        following_changes.append(following_change(linear, column, is_free, kind == "amplitude"))
         columns[name] = column + linear.jacobian_times_object(following_changes[-1])
     remaining = np.stack([column.ravel() for column in columns.values()])
     residual = linear.residual.ravel()
@@ -313,41 +314,3 @@ def _amplitudes_of(mode: SourceMode, model: ForwardModel, values: NDArray[Any]) 
     return ForwardModel(
         engine, mode.on(model.illumination), model.recorded, model.scale, model.fill_factor
     ).amplitudes(values)
-
-
-def _free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return lit samples of the object that are not at a bound."""
-    free_samples = linear.model.lit
-    if np.iscomplexobj(values):
-        return free_samples
-    gradient = linear.adjoint_to_object(linear.residual).real
-    is_at_bound = ((values <= 0.0) & (gradient < 0.0)) | ((values >= 1.0) & (gradient > 0.0))
-    return np.asarray(free_samples & ~is_at_bound)
-
-
-def _following_change(
-    linear: LinearModel, column: RealArray, free_samples: NDArray[np.bool_], is_real: bool
-) -> NDArray[Any]:
-    """Return the change x of the transmission with the least |column + J x|, by CGLS."""
-
-    def gradient(remaining: RealArray) -> NDArray[Any]:
-        on_object = linear.adjoint_to_object(remaining)
-        return np.asarray((on_object.real if is_real else on_object) * free_samples)
-
-    remaining = column.copy()
-    direction = -gradient(remaining)
-    change_of_object, energy = np.zeros_like(direction), float(np.vdot(direction, direction).real)
-    # Iterations of conjugate gradients by which the object follows a change.
-    following_iterations = 12
-    for _ in range(following_iterations):
-        change = linear.jacobian_times_object(direction)
-        size = float(np.vdot(change, change))
-        if size <= 0.0 or energy <= 0.0:
-            break
-        length = np.float32(energy / size)
-        change_of_object += length * direction
-        remaining += length * change
-        descent = -gradient(remaining)
-        before, energy = energy, float(np.vdot(descent, descent).real)
-        direction = descent + np.float32(energy / before) * direction
-    return change_of_object

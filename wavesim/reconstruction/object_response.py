@@ -1,0 +1,76 @@
+"""The object's response to a change of the bench, which compensates a part of the change of the frames.
+
+About the object found, amplitudes change by d per unit of a parameter of the bench. The object follows by the
+change x of its transmission with the least |d + J x|. The remainder D = d + J x is what the frames tell of the
+parameter: with the residuals r and their variances V, its error and the variance of the estimate are
+
+    theta = D'r / D'D,    D'V D / (D'D)^2.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavesim.forward.linear_model import LinearModel, RealArray
+
+FOLLOWING_ITERATIONS = 12
+"""Iterations of conjugate gradients by which the object follows a change."""
+
+
+def free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return lit samples of the object that are not at a bound of an amplitude object, 0 or 1.
+
+    Parameters
+    ----------
+    linear
+        Linear model about the object.
+    values
+        Transmission of the object, real for an amplitude object.
+    """
+    lit = linear.model.lit
+    if np.iscomplexobj(values):
+        return lit
+    gradient = linear.adjoint_to_object(linear.residual).real
+    is_at_bound = ((values <= 0.0) & (gradient < 0.0)) | ((values >= 1.0) & (gradient > 0.0))
+    return np.asarray(lit & ~is_at_bound)
+
+
+def following_change(
+    linear: LinearModel, column: RealArray, is_free: NDArray[np.bool_], is_real: bool
+) -> NDArray[Any]:
+    """Return the change x of the transmission with the least |column + J x|, by CGLS.
+
+    Parameters
+    ----------
+    linear
+        Linear model about the object.
+    column
+        Change of the modelled amplitudes.
+    is_free
+        Samples of the object that may change.
+    is_real
+        Whether the object is real.
+    """
+
+    def gradient(remaining: RealArray) -> NDArray[Any]:
+        on_object = linear.adjoint_to_object(remaining)
+        return np.asarray((on_object.real if is_real else on_object) * is_free)
+
+    remaining = column.copy()
+    direction = -gradient(remaining)
+    change_of_object, energy = np.zeros_like(direction), float(np.vdot(direction, direction).real)
+    for _ in range(FOLLOWING_ITERATIONS):
+        change = linear.jacobian_times_object(direction)
+        size = float(np.vdot(change, change))
+        if size <= 0.0 or energy <= 0.0:
+            break
+        length = np.float32(energy / size)
+        change_of_object += length * direction
+        remaining += length * change
+        descent = -gradient(remaining)
+        before, energy = energy, float(np.vdot(descent, descent).real)
+        direction = descent + np.float32(energy / before) * direction
+    return change_of_object
