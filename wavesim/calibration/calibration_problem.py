@@ -36,12 +36,14 @@ from wavesim.calibration.parameters import (
 )
 from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.reconstruction.problem import key_of_frames, light_of_frames, patch_of_frames
+from wavesim.reconstruction.source_search import stated_source
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import MemoryLimitError, memory_limit
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
+from wavesim.scene.source import POINT
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import Frame
@@ -57,8 +59,10 @@ IGNORED_SETTINGS = {
     "object_pitch_um",
     "illumination",
     "most_mountings",
+    "source_deg",
+    "bandwidth_nm",
 }
-"""Settings that do not affect a search, or that affect it only through the light."""
+"""Settings that do not affect a search, or that affect it only through the light or its source."""
 
 
 class CalibrationProblem:
@@ -86,7 +90,7 @@ class CalibrationProblem:
     recorded : tuple of Measurement
         Measured planes.
     start : SystemState
-        Nominal mounting.
+        Nominal mounting, and the stated source of the light.
     """
 
     def __init__(
@@ -102,13 +106,14 @@ class CalibrationProblem:
         self.framed = framed = patch_of_frames(lens, frames, settings)
         self.recorded = tuple(recorded_planes(frames, with_fractions=True))
         self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
-        self.start = SystemState(Pose(pivot_z_mm=settings.pivot_z_mm))
+        source = stated_source(settings)
+        self.start = SystemState(Pose(pivot_z_mm=settings.pivot_z_mm), source=source)
         self._light = light_of_frames(self.scene, framed.frames, framed.light)
         self._engines: dict[str, Engine] = {}
         light = framed.light.with_values(framed.light.values.astype(np.complex64))
         pixel_settings = settings.scale, settings.fill_factor, self.make
         sparse, spacing = None, pixel_spacing(framed.patch, self.scene)
-        if spacing > 1 and settings.engine == FlatTiles.name:
+        if spacing > 1 and settings.engine == FlatTiles.name and source == POINT:
             dense = DensePixels(self.scene, light, self.recorded, *pixel_settings)
             sparse = sparse_pixels(dense, framed.frames, spacing)
         scene, recorded = padded_to_fast_shape(self.scene, self.recorded)
@@ -218,6 +223,8 @@ def search_bench(
     _check_memory(len(parameters), problem)
     settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
     search_text = f"({dict(start.values)!r}, {_key_text(parameters)})"
+    if start.fixed.source != POINT:
+        search_text += repr(start.fixed.source)
     key = key_of_frames(problem.lens, problem.framed.frames, light, settings_json, search_text)
     run = _SearchRecord(
         start,

@@ -78,6 +78,9 @@ class Calibrated:
         Center of the field stop in mm.
     field_stop_from : str
         Origin of the field stop: "patch" if nothing was stated, "stated", or "frames" if it was found.
+    source_deviations : mapping
+        Standard deviations of the widths of the light's source that were found, by name, on this bench. The
+        source is part of the state.
 
     Examples
     --------
@@ -114,6 +117,7 @@ class Calibrated:
     field_stop_mm: float | None = None
     field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
     field_stop_from: StopOrigin = "patch"
+    source_deviations: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def poorly_determined(self) -> tuple[str, ...]:
@@ -215,6 +219,7 @@ class Calibrated:
             "field_stop_at_mm": list(self.field_stop_at_mm),
             "field_stop_from": self.field_stop_from,
             "field_stop_doubt": self.stop_warning,
+            "source_deviations": dict(self.source_deviations),
         }
 
     def __repr__(self) -> str:

@@ -27,6 +27,7 @@ from wavesim.metrics.next_steps import STOP_CAUSE
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.problem import validate_frames
+from wavesim.reconstruction.source_search import find_source, modes_on, sought_widths, stated_source
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
 from wavesim.scene.engine import Tiled
 from wavesim.scene.light_errors import LightErrors
@@ -38,6 +39,7 @@ from wavesim.scene.settings import (
     SettingError,
     StopOrigin,
 )
+from wavesim.scene.source import POINT
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import planes_of_frames
 from wavesim.sensor.frames import Frame
@@ -50,6 +52,9 @@ OBJECT_OVER_NOISE, OBJECT_FRACTION = 4.0, 0.2
 the amplitude beyond the noise.
 """
 
+
+MOST_SOURCE_SEARCHES = 3
+"""Largest number of searches for the source of the light, each on a bench calibrated in the light before."""
 
 MOST_STOP_SEARCHES = 2
 """Largest number of refinements of a field stop on a calibrated bench."""
@@ -145,6 +150,23 @@ def calibrate_frames(
             other = "empty" if priors is None else "priors"
             raise SettingError(f"{{known}}, {{{other}}}: give only one of them")
         return _calibrated_with_known_object(lens, frames, requested, known, progress)
+    if sought_widths(requested):
+        found, settings = _calibrated_with_source(lens, frames, requested, empty, priors, folder, progress)
+    else:
+        found, settings = _calibrated(lens, frames, requested, empty, priors, folder, progress)
+    return _with_verdict(lens, frames, settings, found, progress) if assess else found
+
+
+def _calibrated(
+    lens: Lens,
+    frames: Sequence[Frame],
+    requested: CalibrationSettings,
+    empty: Sequence[Frame] | None,
+    priors: Mapping[str, float] | None,
+    folder: Path | None,
+    progress: Progress,
+) -> tuple[Calibrated, CalibrationSettings]:
+    """Return the bench in light of a stated source, and the settings with the field stop found."""
     problem = CalibrationProblem(lens, frames, requested, priors)
     settings = _with_stop(problem, progress)
     if settings is requested:
@@ -154,7 +176,52 @@ def calibrate_frames(
     else:
         found = _calibrated_with_stop(lens, frames, requested, settings, empty, priors, folder, progress)
         settings = settings.with_stop(*found.field_stop)
-    return _with_verdict(lens, frames, settings, found, progress) if assess else found
+    return found, settings
+
+
+def _calibrated_with_source(
+    lens: Lens,
+    frames: Sequence[Frame],
+    requested: CalibrationSettings,
+    empty: Sequence[Frame] | None,
+    priors: Mapping[str, float] | None,
+    folder: Path | None,
+    progress: Progress,
+) -> tuple[Calibrated, CalibrationSettings]:
+    """Return the bench and the source of its light, found in turn until the source stays.
+
+    The first bench is that of a point source, because a bench that is as designed would make blur of the
+    errors of the mounting.
+    """
+    source, sought = stated_source(requested), sought_widths(requested)
+    solver = ReconstructionSettings(
+        **requested.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
+    )
+    for _ in range(MOST_SOURCE_SEARCHES):
+        stated = requested.replaced(source_deg=source.width_deg, bandwidth_nm=source.bandwidth_nm)
+        found, settings = _calibrated(lens, frames, stated, empty, priors, folder, progress)
+        problem = CalibrationProblem(lens, frames, settings)
+        estimate = find_source(
+            problem.make(placed_scene(problem.scene, found.state)),
+            placed_light(problem.framed.light, found.state),
+            placed_planes(problem.recorded, found.state),
+            solver,
+            lambda text: progress(text, 0, 0),
+            known=source,
+        )
+        changes = {name: abs(getattr(estimate.source, name) - getattr(source, name)) for name in sought}
+        source = estimate.source
+        found = replace(
+            found, state=replace(found.state, source=source), source_deviations=estimate.deviations
+        )
+        # Relative change of a width, or change in its deviations, up to which the bench stays.
+        tolerance, tolerated_deviations = 0.03, 2.0
+        if all(
+            change <= max(tolerance * getattr(source, name), tolerated_deviations * estimate.deviations[name])
+            for name, change in changes.items()
+        ):
+            break
+    return found, settings
 
 
 def _calibrated_with_known_object(
@@ -165,6 +232,11 @@ def _calibrated_with_known_object(
     progress: Progress,
 ) -> Calibrated:
     """Return the mounting that frames of a known object determine."""
+    if settings.source_deg or settings.bandwidth_nm:
+        raise SettingError(
+            "{known}: cannot be used with {source_deg} or {bandwidth_nm}: the search for the mounting with a "
+            "known object assumes coherent light; omit {known}, so that the object is found, too"
+        )
     stop_from, problem = settings.field_stop_from, CalibrationProblem(lens, frames, settings)
     if settings.field_stop == "find":
         problem = CalibrationProblem(lens, frames, _with_stop(problem, progress))
@@ -335,7 +407,8 @@ def calibrate_empty(
     everything = problem.parameters("all", light_order=LIGHT_ORDER_ALONE)
     requested = problem.parameters(light_order=LIGHT_ORDER_ALONE)
     parameters_sought = tuple(p for p in everything if p.group == "light" or p in requested)
-    unknowns = Unknowns(lens, replace(start or problem.start, light=LightErrors()))
+    source = problem.start.source if start is None or stated_source(settings) != POINT else start.source
+    unknowns = Unknowns(lens, replace(start or problem.start, light=LightErrors(), source=source))
     checkpoint_path = None if folder is None else folder / EMPTY_CHECKPOINT
     known = np.ones(problem.framed.light.grid.shape, np.float32)
     found = search_bench(problem, parameters_sought, unknowns, checkpoint_path, progress, known)
@@ -421,7 +494,9 @@ def _with_verdict(
     progress: Progress | None,
 ) -> Calibrated:
     """Return the result with the verdict of a reconstruction."""
-    settings_given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
+    # The source is part of the calibrated state.
+    names = set(FramedSettings.model_fields) - {"source_deg", "bandwidth_nm"}
+    settings_given = settings.model_dump(include=names, exclude_unset=True)
     reconstruction = reconstruct_frames(
         lens, frames, ReconstructionSettings(**settings_given), calibration=found.state, progress=progress
     )
@@ -440,7 +515,8 @@ def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated
     state, settings = found.state, problem.settings
     engine = problem.make(placed_scene(problem.scene, state))
     light, planes = placed_light(problem.framed.light, state), placed_planes(problem.recorded, state)
-    model = ForwardModel(engine, light, planes, settings.scale, settings.fill_factor)
+    modes = modes_on(light, state.source)
+    model = ForwardModel(engine, light, planes, settings.scale, settings.fill_factor, modes=modes)
     if settings.scale is None:
         model.scale = LinearModel(model, np.asarray(known.values), True).scale
     nothing = np.zeros(0, np.intp)

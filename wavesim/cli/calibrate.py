@@ -153,6 +153,8 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
     if found.field_stop_mm is not None:
         stop_text = stop_words(found.field_stop_mm, found.field_stop_at_mm)
         print(f"{stop_text}, {STOP_ORIGINS[found.field_stop_from]}")
+    for line in found.state.source.lines(found.source_deviations):
+        print(line)
     print(
         f"misfit {summary['misfit_before']:.4f} before calibration, {summary['misfit']:.4f} after"
         + ("" if noise is None else f" (expected from noise alone: {noise:.4f})")

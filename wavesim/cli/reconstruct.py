@@ -365,16 +365,16 @@ def _print(summary: dict[str, Any], output: Path) -> None:
 
 
 def _summary_lines(summary: dict[str, Any]) -> list[str]:
+    from wavesim.scene.source import Source
     from wavesim.targets.patch import stop_words
 
     words = stop_words(summary["field_stop_mm"], summary["field_stop_at_mm"])
     lines = [f"{words}, {STOP_ORIGINS[summary['field_stop_from']]}"]
     if "engine_replaced" in summary:
         lines.append(summary["engine_replaced"]["words"])
-    if "source_deg" in summary:
-        lines.append(f"diameter of the light source {summary['source_deg']:.3g}°")
-    if "bandwidth_nm" in summary:
-        lines.append(f"bandwidth of the light {summary['bandwidth_nm']:.3g} nm")
+    source = Source(summary.get("source_deg", 0.0), summary.get("bandwidth_nm", 0.0))
+    deviations = {"width_deg": "source_deg_deviation", "bandwidth_nm": "bandwidth_nm_deviation"}
+    lines += source.lines({name: summary[key] for name, key in deviations.items() if key in summary})
     if summary["region_mm"] is not None:
         x, y, width, height = summary["region_mm"]
         lines.append(

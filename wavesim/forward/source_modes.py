@@ -86,7 +86,7 @@ class ModesMeasurement:
         )
 
     def adjoint(self, planes: list[RealArray]) -> ComplexArray:
-        """Return the adjoint of :meth:`products`: changes of the stacked fields for a factor of each pixel."""
+        """Return the adjoint of :meth:`products`: a change of the stacked fields for factors of pixels."""
         return np.concatenate(
             [
                 one.adjoint(planes) * planes[0].dtype.type(weight)

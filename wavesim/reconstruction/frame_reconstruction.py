@@ -54,7 +54,7 @@ from wavesim.reconstruction.problem import (
 )
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
-from wavesim.reconstruction.source_search import find_source
+from wavesim.reconstruction.source_search import WIDTHS, find_source, sought_widths
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import SAFETY, Engine, Tiled
@@ -259,7 +259,7 @@ def _run(
         )
 
     start = None
-    if "find" in (settings.source_deg, settings.bandwidth_nm):
+    if sought_widths(settings):
         with engine_on(case.light.grid) as engine:
             found_source = find_source(
                 engine, case.light, case.given, settings, reporter.step, known=case.source
@@ -420,12 +420,11 @@ def _find_object(
 
 
 def _source_summary(case: ReconstructionProblem, settings: ReconstructionSettings) -> dict[str, Any]:
-    """Return the widths of the source that are not 0 or were sought, and standard deviations of the latter."""
-    names = {"width_deg": ("source_deg", settings.source_deg), "bandwidth_nm": ("bandwidth_nm", settings.bandwidth_nm)}
+    """Return the widths of the source that are not 0 or were sought, with their standard deviations."""
     summary = {}
-    for attribute, (name, requested) in names.items():
+    for attribute, name in zip(WIDTHS, ("source_deg", "bandwidth_nm"), strict=True):
         width = getattr(case.source, attribute)
-        if width or requested:
+        if width or getattr(settings, name):
             summary[name] = width
         if attribute in case.source_deviations:
             summary[f"{name}_deviation"] = case.source_deviations[attribute]

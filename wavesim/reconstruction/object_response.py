@@ -1,8 +1,9 @@
 """The object's response to a change of the bench, which compensates a part of the change of the frames.
 
 About the object found, amplitudes change by d per unit of a parameter of the bench. The object follows by the
-change x of its transmission with the least |d + J x|. The remainder D = d + J x is what the frames tell of the
-parameter: with the residuals r and their variances V, its error and the variance of the estimate are
+change x of its transmission with the least |d + J x|. The remainder D = d + J x is the part that the object
+cannot imitate. With the residuals r and their variances V, the error of the parameter and the variance of
+this estimate are
 
     theta = D'r / D'D,    D'V D / (D'D)^2.
 """

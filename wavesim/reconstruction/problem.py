@@ -31,7 +31,7 @@ from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.diagnostics.held_out import HeldOut, hold_out, is_given
 from wavesim.reconstruction.memory import run_bytes
-from wavesim.reconstruction.source_search import BROADEST, coherent_nm, modes_on
+from wavesim.reconstruction.source_search import BROADEST, coherent_nm, modes_on, sought_widths, stated_source
 from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint, digest_of, key_of
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
@@ -410,8 +410,7 @@ def _key(
         (p.distance_mm, p.shift_mm, p.tilt_deg, None if p.background is None else float(p.background.mean()))
         for p in recorded
     ]
-    stated = Source(*(0.0 if w == "find" else w for w in (settings.source_deg, settings.bandwidth_nm)))
-    is_calibrated = source != stated and "find" not in (settings.source_deg, settings.bandwidth_nm)
+    is_calibrated = source != stated_source(settings) and not sought_widths(settings)
     bench = (light.grid.z_mm, planes, source) if is_calibrated else (light.grid.z_mm, planes)
     return key_of_frames(lens, frames, light, settings_json, engine.key(), str(bench))
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.forward.linear_model import LinearModel
+from wavesim.forward.linear_model import LinearModel, RealArray
 from wavesim.forward.source_modes import ModesMeasurement
 from wavesim.reconstruction.object_response import following_change, free_samples
 from wavesim.reconstruction.object_solver import reconstruct
@@ -63,6 +63,11 @@ class FoundSource:
     transmission: Field
 
 
+def stated_source(settings: FramedSettings) -> Source:
+    """Return the source that settings state; widths that are to be found are 0."""
+    return Source(*(0.0 if w == "find" else w for w in (settings.source_deg, settings.bandwidth_nm)))
+
+
 def sought_widths(settings: FramedSettings) -> tuple[str, ...]:
     """Return the names of the widths (`WIDTHS`) that settings ask to find."""
     values = settings.source_deg, settings.bandwidth_nm
@@ -73,7 +78,7 @@ def find_source(
     engine: Engine,
     light: Field,
     recorded: Sequence[Measurement],
-    settings: FramedSettings,
+    settings: ReconstructionSettings,
     progress: Callable[[str], None],
     *,
     known: Source = POINT,
@@ -86,7 +91,7 @@ def find_source(
     engine, light, recorded
         See :func:`wavesim.reconstruct`; the planes have standard deviations.
     settings
-        Settings of the reconstruction or calibration. `source_deg`, `bandwidth_nm` or both are "find".
+        Settings of the reconstruction. `source_deg`, `bandwidth_nm` or both are "find".
     progress
         Called with a message for each source that is tried.
     known
@@ -168,7 +173,7 @@ def squared_widths(
     """
     is_real, is_free = not np.iscomplexobj(values), free_samples(linear, values)
     remainders = []
-    for name, column in zip(names, source_columns(linear, source, names), strict=True):
+    for column in source_columns(linear, source, names):
         following = following_change(linear, column, is_free, is_real)
         remainders.append(np.ravel(column + linear.jacobian_times_object(following)))
     columns = np.stack(remainders)
@@ -185,7 +190,7 @@ def squared_widths(
     return widths**2 + steps, np.diag(inverse @ power @ inverse)
 
 
-def source_columns(linear: LinearModel, source: Source, names: Sequence[str]) -> list[Array]:
+def source_columns(linear: LinearModel, source: Source, names: Sequence[str]) -> list[RealArray]:
     """Return the changes of the modelled amplitudes per squared width of the source, by its modes.
 
     Parameters

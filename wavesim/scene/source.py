@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -82,6 +82,29 @@ class Source:
             raise InputError(f"source width_deg = {self.width_deg!r}: must be from 0 to below 90°")
         if not 0.0 <= self.bandwidth_nm < math.inf:
             raise InputError(f"source bandwidth_nm = {self.bandwidth_nm!r}: must be finite, and not negative")
+
+    def lines(self, deviations: Mapping[str, float]) -> list[str]:
+        """Return sentences that state the widths, with their standard deviations where these are given.
+
+        Parameters
+        ----------
+        deviations
+            Standard deviations by the name of the width. For a width of 0 it is the largest width that
+            is possible.
+        """
+        rows = [
+            ("width_deg", "diameter of the light source", "°"),
+            ("bandwidth_nm", "bandwidth of the light", " nm"),
+        ]
+        lines = []
+        for name, what, unit in rows:
+            width, deviation = getattr(self, name), deviations.get(name)
+            if width:
+                text = "" if deviation is None else f" ± {deviation:.2g}{unit}"
+                lines.append(f"{what} {width:.3g}{unit}{text}")
+            elif deviation is not None:
+                lines.append(f"{what} 0{unit}, at most {deviation:.2g}{unit}")
+        return lines
 
     def modes(
         self, wavelength_um: float, rings: int = RINGS, angles: int = ANGLES, *, samples: int = 1

@@ -139,6 +139,25 @@ class PerturbedTiles(FlatTiles):
             )
         self.reference, self.sensor_pose, self.plane = reference, sensor_pose, reference.plane
 
+    def at_wavelength(self, wavelength_um: float) -> Engine:
+        """Return the same perturbation of the reference's tiles for another wavelength.
+
+        The tiles of each wavelength are computed once for a reference.
+        """
+        if wavelength_um == self.scene.wavelength_um:
+            return self
+        if wavelength_um not in self.other_wavelengths:
+            references = self.reference.other_wavelengths
+            if wavelength_um not in references:
+                made = self.reference.at_wavelength(wavelength_um)
+                assert isinstance(made, FlatTiles)
+                references[wavelength_um] = made
+            scene = replace(self.scene, wavelength_um=wavelength_um)
+            self.other_wavelengths[wavelength_um] = PerturbedTiles(
+                references[wavelength_um], scene, self.sensor_pose
+            )
+        return self.other_wavelengths[wavelength_um]
+
     def changes(self, tile: Tile, ray_map: RayMap) -> SmoothMap:
         """Return how the rays of a tile differ from those of the reference, see :func:`ray_changes`."""
         return ray_changes(self.scene, self.reference.scene, tile, ray_map, self.plane.grid, self.sensor_pose)

@@ -43,6 +43,8 @@ from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
+from wavesim.forward.source_modes import ModesMeasurement
+from wavesim.reconstruction.source_search import modes_on
 from wavesim.scene.engine import Engine, GridPair, Grids, Operator
 from wavesim.scene.light_errors import Orders, light_mode
 from wavesim.scene.scene import Scene, placed_light, placed_scene
@@ -199,13 +201,14 @@ class DensePixels(CalibrationPixels):
 
     def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
         state = unknowns.state
-        scene = placed_scene(self.scene, state)
+        scene, light = placed_scene(self.scene, state), placed_light(self.illumination, state)
         return ForwardModel(
             PerturbedTiles(reference, scene) if type(reference) is FlatTiles else self.make(scene),
-            placed_light(self.illumination, state),
+            light,
             placed_planes(self.recorded, state),
             self.scale,
             self.fill_factor,
+            modes=modes_on(light, state.source),
         )
 
     def _acts_on_rays(self, parameter: Parameter) -> bool:
@@ -229,12 +232,21 @@ class DensePixels(CalibrationPixels):
         parameters: Sequence[Parameter],
         derivatives: RayDerivatives | None,
     ) -> Iterable[ComplexArray]:
-        engine = linear.model.engine
-        if derivatives is None or not isinstance(engine, FlatTiles):
-            return exit_field_changes_by_engines(
-                engine, linear.lit, self._perturbed_scenes(unknowns, parameters), self.make
-            )
-        return exit_field_changes_by_rays(engine, linear.lit, derivatives.plane(0, parameters))
+        def changes(engine: Operator, lit: Field) -> list[ComplexArray]:
+            if derivatives is None or not isinstance(engine, FlatTiles):
+                perturbed = [
+                    scene._replace(scene=replace(scene.scene, wavelength_um=lit.wavelength_um))
+                    for scene in self._perturbed_scenes(unknowns, parameters)
+                ]
+                return exit_field_changes_by_engines(engine, lit, perturbed, self.make)
+            return exit_field_changes_by_rays(engine, lit, derivatives.plane(0, parameters))
+
+        model = linear.model
+        if not model.modes:
+            return changes(model.engine, linear.lit)
+        # Paths of rays change alike for all wavelengths of a band.
+        of_modes = [changes(model.engine_of(mode), mode.on(linear.lit)) for mode in model.modes]
+        return (np.concatenate(parts) for parts in zip(*of_modes, strict=True))
 
     def _perturbed_scenes(self, unknowns: Unknowns, parameters: Sequence[Parameter]) -> list[PerturbedScene]:
         states = [stepped(unknowns, p).state for p in parameters]
@@ -247,7 +259,7 @@ class DensePixels(CalibrationPixels):
         name, measurement = parameter.name, linear.measurement
         if name == NONLINEARITY:
             return linear.jacobian_times_nonlinearity()
-        assert isinstance(measurement, FreeSpaceMeasurement)
+        assert isinstance(measurement, FreeSpaceMeasurement | ModesMeasurement)
         if name in SENSOR_TILTS:
             return linear.amplitude_changes(measurement.by_tilt(SENSOR_TILTS.index(name)))
         if name == VIBRATION:

@@ -483,6 +483,7 @@ class JointSearch:
             scale=self.pixels.scale,
             start=None if start is None else model.illumination.with_values(start),
             fill_factor=self.pixels.fill_factor,
+            modes=model.modes,
             rows=self.pixels.rows,
             residuals=False,
             inner_iterations=2,

@@ -260,6 +260,11 @@ class FlatTiles(EikonalEngine):
         return curves
 
     @cached_property
+    def other_wavelengths(self) -> dict[float, FlatTiles]:
+        """Tiles of the same scene for other wavelengths, stored by those who need them again."""
+        return {}
+
+    @cached_property
     def plane(self) -> ExitPlane:
         """Plane on which tiles are summed, and the free space behind it."""
         return exit_plane(self.scene, self._asked_plane_z_mm)
