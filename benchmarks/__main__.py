@@ -32,6 +32,7 @@ SCRIPTS = (
     "rim",
     "chooser",
     "scalar_light",
+    "broad_light",
     "polarized_frames",
     "reconstruction",
     "cover_glass",
