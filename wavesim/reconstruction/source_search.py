@@ -24,14 +24,18 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import LinearModel, RealArray
 from wavesim.forward.source_modes import ModesMeasurement
 from wavesim.reconstruction.object_response import following_change, free_samples
-from wavesim.reconstruction.object_solver import reconstruct
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import FramedSettings, ReconstructionSettings
 from wavesim.scene.source import POINT, Source, SourceMode
 from wavesim.sensor.measurement import Measurement
 
-MOST_WIDTHS, ITERATIONS = 12, 6
-"""Largest number of sources that are tried, and iterations of the object with each."""
+MOST_WIDTHS, ITERATIONS, FIRST_ITERATIONS = 12, 6, 40
+"""Largest number of sources that are tried, iterations of the object with each, and those before the first.
+
+The first iterations are those of a point source, which take little time. An object that is far from the true
+one would make blur of its errors.
+"""
 
 BROADEST = 8.0
 """Largest bandwidth that is sought, over the one that shifts the steepest light by a speckle.
@@ -111,23 +115,33 @@ def find_source(
     # Smallest width over that at which half of the object is lit coherently. Narrower sources are points.
     least_width = 0.1
     deviations = dict[str, float]()
-    for _ in range(MOST_WIDTHS):
-        names = [name for name in sought if getattr(source, name)]
-        if not names:
-            break
-        progress(_source_text(source, names))
-        found = reconstruct(
+
+    def improved(transmission: Field, iterations: int) -> Reconstructed:
+        return reconstruct(
             engine,
             light,
             recorded,
             kind=settings.kind,
             tv_weight=settings.tv_weight,
-            iterations=ITERATIONS,
+            iterations=iterations,
             scale=settings.scale,
             start=transmission,
             fill_factor=settings.fill_factor,
             modes=modes_on(light, source),
         )
+
+    if start is None:
+        widths = source
+        source = replace(known, **dict.fromkeys(sought, 0.0))
+        progress("object in light of a point source")
+        transmission = improved(transmission, FIRST_ITERATIONS).transmission
+        source = widths
+    for _ in range(MOST_WIDTHS):
+        names = [name for name in sought if getattr(source, name)]
+        if not names:
+            break
+        progress(_source_text(source, names))
+        found = improved(transmission, ITERATIONS)
         transmission = found.transmission
         model = ForwardModel(
             engine, light, recorded, found.scale, settings.fill_factor, modes=modes_on(light, source)
