@@ -84,16 +84,17 @@ CASES = {
     "1-nm": Case(32, 0.08, "usaf", "amplitude", "rectangular", 1.0),
     "5-nm": Case(32, 0.08, "usaf", "amplitude", "rectangular", 5.0),
     "5-nm-led": Case(32, 0.08, "usaf", "amplitude", "gaussian", 5.0),
+    "40-nm": Case(32, 0.08, "usaf", "amplitude", "rectangular", 40.0),
     "20-nm": Case(64, 0.04, "star", "amplitude", "rectangular", 20.0),
     "20-nm-led": Case(64, 0.04, "star", "amplitude", "gaussian", 20.0),
     "20-nm-complex": Case(64, 0.04, "tissue", "complex", "rectangular", 20.0),
-    "decentered-20-nm": Case(
+    "decentered-40-nm": Case(
         64,
         0.04,
         "star",
         "amplitude",
         "rectangular",
-        20.0,
+        40.0,
         Pose(decenter_x_mm=0.004, decenter_y_mm=-0.002, tilt_y_deg=0.1),
     ),
 }
