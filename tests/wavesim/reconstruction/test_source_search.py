@@ -93,7 +93,7 @@ def test_the_width_of_a_source_is_found_with_the_object(fraction: float) -> None
     found = find_source(engine, light, planes, settings, messages.append)
     assert found.source.width_deg == pytest.approx(width_deg, rel=0.05)
     assert found.source.bandwidth_nm == 0.0
-    assert messages[0] == f"width of the source: {coherent_deg(light):.3g}°"
+    assert messages[1] == f"width of the source: {coherent_deg(light):.3g}°"
     assert found.transmission.grid == light.grid
 
 
