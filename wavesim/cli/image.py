@@ -18,6 +18,7 @@ from wavesim.cli.bench_files import read_bench_state
 from wavesim.cli.options import Output, print_warnings, settings_text
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import ImageSettings
+from wavesim.targets.patch import layer_file
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
@@ -46,14 +47,15 @@ def image(
     output: Output,
     settings: ImageSettings,
     object_: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
             "--object",
             metavar="[usaf|star|phase|tissue|empty]|FILE",
-            help="usaf, star, phase, tissue, empty, or FILE (a picture).",
+            help="usaf, star, phase, tissue, empty, or FILE (a picture); default: usaf. With --layers-um, "
+            "repeated for each layer.",
             rich_help_panel=OptionGroup.OBJECT,
         ),
-    ] = "usaf",
+    ] = None,
     state: Annotated[
         Path | None,
         typer.Option(
@@ -89,7 +91,7 @@ def image(
     true_state = read_bench_state(state, lens)
     name, summaries = lens.title or design.stem, list[dict[str, Any]]()
     for folder, chosen in _runs(lens, settings, output, all_wavelengths):
-        summaries.append(_recorded(lens, name, object_, chosen, true_state, folder, as_json))
+        summaries.append(_recorded(lens, name, object_ or ["usaf"], chosen, true_state, folder, as_json))
         if not as_json:
             _print(summaries[-1], folder)
     if as_json:
@@ -113,7 +115,7 @@ def _runs(
 def _recorded(
     lens: Lens,
     name: str,
-    object_: str,
+    object_: list[str],
     settings: ImageSettings,
     state: SystemState | None,
     output: Path,
@@ -152,6 +154,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
             "pitch_um": 1e3 * patch.grid.pitch_mm,
             "samples": patch.grid.shape[0],
             **_finest(imaged),
+            **_layers(imaged),
         },
         "illumination": settings.illumination,
         "polarization": imaged.engine.scene.polarization,
@@ -221,6 +224,19 @@ def _finest(imaged: Imaged) -> dict[str, Any]:
     }
 
 
+def _layers(imaged: Imaged) -> dict[str, Any]:
+    """Describe the layers of an object of several; empty for other objects."""
+    if not imaged.layers:
+        return {}
+    named = zip(imaged.settings.layers_um or (), imaged.layers, strict=True)
+    return {
+        "layers": [
+            {"distance_um": distance, "name": layer.name, "file": layer_file(index)}
+            for index, (distance, layer) in enumerate(named, start=1)
+        ]
+    }
+
+
 def _names(recording: Recording) -> list[tuple[str, float]]:
     """Describe the frames with their exposures, relative to the one for the brightest pixel."""
     planes = range(1, len(recording.plane_distances_mm) + 1)
@@ -238,7 +254,7 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
     from wavesim.cli.result_files import new_results, write_json
     from wavesim.fields.files import write_field
     from wavesim.plots.frames import frames_figure, save
-    from wavesim.plots.objects import object_figure
+    from wavesim.plots.objects import layers_figure, object_figure
     from wavesim.plots.pyramid import write_pyramid
     from wavesim.sensor.frames import write_frame
 
@@ -251,10 +267,16 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
         write_field(transmission, folder / "object.npz", **of_stop)
         for quantity, name in (("amplitude", "object_amplitude.tif"), ("phase_rad", "object_phase.tif")):
             write_pyramid(transmission.values, folder / name, 1e3 * patch.grid.pitch_mm, (quantity,))
+        for index, layer in enumerate(imaged.layers, start=1):
+            write_field(layer.transmission, folder / layer_file(index), **of_stop)
         light = f"{patch.wavelength_um:g} µm"
         title = f"{summary['design']}\nobject {imaged.target.name}, {light}, {patch.stop_words}"
         drawn = object_figure(transmission, patch.inside, title, elements=imaged.target.elements)
         save(drawn, folder / "object.png")
+        if imaged.layers:
+            stack = [layer.transmission for layer in imaged.layers]
+            drawn = layers_figure(imaged.settings.layers_um or (), stack, patch.inside, title)
+            save(drawn, folder / "layers.png")
         sensor = f"{light}, pixels of {imaged.sensor.pixel_pitch_um:g} µm"
         save(frames_figure(imaged.frames, f"{summary['design']}\n{sensor}"), folder / "frames.png")
         names = sorted(path.name for path in folder.iterdir())
@@ -284,6 +306,8 @@ def _print(summary: dict[str, Any], output: Path) -> None:
             f"finest lines {thing['finest_line_um']:.3g} µm: {ends}; "
             f"the aperture passes {thing['aperture_passes_um']:.3g} µm (wavelength / 2 NA)"
         )
+    for layer in thing.get("layers", ()):
+        print(f"  layer at {layer['distance_um']:g} µm: {layer['name']}")
     print(f"engine {engine['name']}, predicted relative error {predicted}")
     print(f"  {settings_text(engine['settings'])}")
     if is_vector(summary["polarization"]):

@@ -85,6 +85,47 @@ def object_figure(
     return figure
 
 
+@in_style
+def layers_figure(
+    distances_um: Sequence[float],
+    layers: Sequence[Field],
+    inside: Any,
+    title: str = "",
+    *,
+    truth: Sequence[Field] = (),
+) -> Figure:
+    """Draw each layer of an object in a row: amplitude within the field stop, and phase unless it is 0.
+
+    Parameters
+    ----------
+    distances_um
+        Distance of each layer from the object plane.
+    layers
+        Transmission of each layer.
+    inside
+        Whether each sample is within the field stop.
+    title
+        Title of the figure.
+    truth
+        True layers on the same samples, which are drawn next to the found ones.
+    """
+    rows = []
+    for index, layer in enumerate(layers):
+        named = {"found": layer} if not truth else {"true": truth[index], "found": layer}
+        rows.append([picture for pictures in _rows(named, inside) for picture in pictures])
+    columns = max(map(len, rows))
+    figure = styled_figure((SIDE_INCHES + 0.8) * columns, SIDE_INCHES * len(rows) + 0.4)
+    title_figure(figure, title)
+    grid = figure.add_gridspec(len(rows), columns)
+    for row, (distance, pictures) in enumerate(zip(distances_um, rows, strict=True)):
+        for column, picture in enumerate(pictures):
+            axes = figure.add_subplot(grid[row, column])
+            _draw(figure, axes, picture, layers[row], (), False)
+            name = f", {picture.name}" if truth else ""
+            axes.set_title(f"layer at {distance:g} µm{name}")
+    return figure
+
+
 def _rows(named: dict[str, Field], inside: Any) -> list[list[_Shown]]:
     """Return amplitudes, and phases unless all are 0, on common scales."""
     amplitudes = {name: np.where(inside, np.abs(field.values), np.nan) for name, field in named.items()}

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -436,6 +437,28 @@ class ObjectSettings(Settings):
     )
 
 
+class LayerSettings(Settings):
+    """Positions of the layers of an object that has several."""
+
+    option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
+
+    layers_um: Numbers | None = Field(
+        None,
+        description="Distances of the object's layers from the object plane, positive towards the lens, in "
+        "the order in which light passes them; default: one layer in the object plane.",
+    )
+
+    @field_validator("layers_um")
+    @classmethod
+    def _ascending(cls, distances: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if distances is None:
+            return None
+        steps = (after - before for before, after in pairwise(distances))
+        if not distances or not all(map(math.isfinite, distances)) or any(step <= 0.0 for step in steps):
+            raise ValueError("must be finite and ascending")
+        return distances
+
+
 class ImageSettings(
     PoseSettings,
     MachineSettings,
@@ -445,6 +468,7 @@ class ImageSettings(
     CameraSettings,
     PatchSettings,
     ObjectSettings,
+    LayerSettings,
 ):
     """Settings of :func:`wavesim.image`. Lengths are in the unit that their names state.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,8 @@ from wavesim.sensor.windows import (
     light_window,
     sensor_window,
 )
-from wavesim.targets.patch import Patch, Target, lit, lit_patch, make_target
+from wavesim.targets.layers import LayerStack
+from wavesim.targets.patch import Patch, Target, lit, lit_patch, make_target, transmission_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +85,10 @@ class Imaged:
         Upper bound of the relative L2 error of this object's field on the first plane.
     scattered : RoughnessReport or None
         Light that rough surfaces of the lens scatter; None without a rough surface.
+    layers : tuple of Target
+        Layers of an object of several, in the order in which light passes them. The transmission of `target`
+        is then the field behind all layers, in the object plane, over that of the illumination in front of
+        them. Empty for other objects.
 
     Examples
     --------
@@ -109,6 +114,7 @@ class Imaged:
     memory: Memory
     predicted_error: float
     scattered: RoughnessReport | None = None
+    layers: tuple[Target, ...] = ()
 
     def __repr__(self) -> str:
         return f"Imaged({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -129,7 +135,7 @@ class Imaged:
 
 def image(
     lens: Lens | FilePath,
-    object_: str | Field = "usaf",
+    object_: str | Field | Sequence[str | Field] = "usaf",
     settings: ImageSettings | None = None,
     *,
     state: SystemState | Pose | None = None,
@@ -146,7 +152,8 @@ def image(
         The nominal lens, or the path of its design file.
     object_
         Name of a built-in object ("usaf", "star", "phase", "tissue", "empty"), path of a picture, or the
-        complex transmission of an object on a plane. The grid of a transmission is used as the patch.
+        complex transmission of an object on a plane. The grid of a transmission is used as the patch. With
+        `layers_um`, one of these for each layer; a single one is used on all layers.
     settings
         All settings; default: `ImageSettings()`.
     state
@@ -197,8 +204,9 @@ def image(
     validate_lengths(lens, settings)
     recording = _recording(lens, settings, state)
     true_state, planes = recording.state, recording.plane_distances_mm
-    patch, light = _patch_and_light(lens, object_, settings)
-    target = _target(lens, patch, object_, settings)
+    objects = _objects(object_, settings)
+    patch, light = _patch_and_light(lens, objects[0], settings)
+    layers = tuple(_target(lens, patch, one, settings) for one in objects)
     pixels = lens.sensor.pixels if settings.pixels == "all" else settings.pixels
     sensor = sensor_window(lens, patch, planes, pixels, true_state)
     check_footprint(lens, patch, sensor, planes, true_state)
@@ -210,7 +218,7 @@ def image(
         for index, plane in enumerate(planes)
     ]
     light = placed_light(light, true_state)
-    behind_object = light.with_values(light.values * target.transmission.values)
+    target, behind_object = _behind_object(light, layers, settings)
     del light  # as large as the object field, which is kept
     limit = memory_limit(settings.memory_gb)
     with tiles_in(settings.cluster) as hand_over_tiles:
@@ -259,7 +267,33 @@ def image(
         memory=memory,
         predicted_error=predicted_error,
         scattered=scattered,
+        layers=layers if settings.layers_um is not None else (),
     )
+
+
+def _objects(object_: str | Field | Sequence[str | Field], settings: ImageSettings) -> list[str | Field]:
+    """Return the object of each layer."""
+    objects = [object_] if isinstance(object_, str | Field) else list(object_)
+    count = 1 if settings.layers_um is None else len(settings.layers_um)
+    if len(objects) not in (1, count):
+        raise SettingError(
+            f"{{object_}}: {len(objects)} objects for {count} layer{'s' * (count > 1)}; give one for each "
+            "distance in {layers_um}"
+        )
+    return objects * count if len(objects) == 1 else objects
+
+
+def _behind_object(light: Field, layers: Sequence[Target], settings: ImageSettings) -> tuple[Target, Field]:
+    """Return the object as seen from the object plane, and the field behind it."""
+    if settings.layers_um is None:
+        (target,) = layers
+        return target, light.with_values(light.values * target.transmission.values)
+    stack = LayerStack(light.grid, light, settings.layers_um)
+    transmissions = [layer.transmission.values for layer in layers]
+    stack.check_lost_light(transmissions)
+    behind = light.with_values(stack.forward(transmissions).behind.astype(light.values.dtype))
+    name = ", ".join(dict.fromkeys(layer.name for layer in layers))
+    return Target(name, transmission_of(behind, light), (), layers[0].polarity), behind
 
 
 def _with_ghosts(engine: Engine, settings: ImageSettings) -> Engine:

@@ -430,6 +430,11 @@ def read_object(path: Path, patch: Patch) -> Field:
     return measured_field(place, patch.grid, patch.wavelength_um)
 
 
+def layer_file(index: int) -> str:
+    """Return the name of the file of a layer of an object, counted from 1."""
+    return f"layer_{index}.npz"
+
+
 def lit_patch(lens: Lens, settings: PatchSettings, wavelength_um: float | None = None) -> tuple[Patch, Field]:
     """Return the patch of a design's object plane that settings describe, and its illumination.
 
