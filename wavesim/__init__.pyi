@@ -13,6 +13,7 @@ from .pupil.patch_reconstructor import PatchReconstructor
 from .pupil.pupil import ReconstructionPupil, mtf, psf, refocus, rms_waves, strehl
 from .reconstruction.found_object import FoundObject
 from .reconstruction.frame_reconstruction import reconstruct_frames
+from .reconstruction.layer_reconstruction import FoundLayers, reconstruct_layers
 from .reconstruction.object_solver import reconstruct
 from .reconstruction.phase_retrieval import retrieve
 from .reconstruction.refocusing import refocus_field
@@ -34,6 +35,7 @@ __all__ = [
     "Electronics",
     "Engine",
     "Field",
+    "FoundLayers",
     "FoundObject",
     "Frame",
     "FrameSettings",
@@ -61,6 +63,7 @@ __all__ = [
     "read_state",
     "reconstruct",
     "reconstruct_frames",
+    "reconstruct_layers",
     "refocus",
     "refocus_field",
     "resolve",

@@ -20,6 +20,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_bench_state, read_empty, read_priors
 from wavesim.cli.free_space import in_free_space
+from wavesim.cli.layers import in_layers
 from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import (
@@ -28,6 +29,7 @@ from wavesim.scene.settings import (
     FramedSettings,
     FrameSetSettings,
     FreeSpaceSettings,
+    LayerReconstructionSettings,
     PoseSettings,
     ReconstructionSettings,
     StopOrigin,
@@ -68,6 +70,7 @@ def reconstruct(
     settings: ReconstructionSettings,
     of_frames: FrameSetSettings,
     free: FreeSpaceSettings,
+    of_layers: LayerReconstructionSettings,
     design: Annotated[
         Path | None,
         typer.Option(
@@ -108,7 +111,7 @@ def reconstruct(
     remove_unfinished(output)
     if free.free_space:
         of_lenses: dict[str, object] = {"design": design, "calibration": calibration, "truth": truth}
-        of_lenses |= {"empty": empty, "priors": priors}
+        of_lenses |= {"empty": empty, "priors": priors, "layers_um": of_layers.layers_um}
         in_free_space(frames, output, settings, of_frames, free, of_lenses, as_json)
         return
     if design is None:
@@ -119,6 +122,24 @@ def reconstruct(
         raise InputError("--calibrate, --calibration: give only one of them")
     if priors is not None and not free.calibrate:
         raise InputError("--priors: requires --calibrate")
+    if of_layers.layers_um is not None:
+        if free.calibrate or empty:
+            option = "--calibrate" if free.calibrate else "--empty"
+            raise InputError(
+                f"{option}: cannot be used with --layers-um; calibrate with another object first"
+            )
+        in_layers(
+            frames,
+            design,
+            output,
+            settings,
+            of_frames,
+            of_layers,
+            calibration=calibration,
+            truth=truth,
+            as_json=as_json,
+        )
+        return
     tell_memory = memory_teller(output)
 
     def on_estimate(memory: Memory) -> None:

@@ -101,7 +101,7 @@ def judge_result(
 
     Where they are not, possible causes are tried, except on a whole field.
     """
-    residuals, curve = _residuals(case, found.residual_maps, found.engine_errors), found.curve
+    residuals, curve = plane_residuals(case, found.residual_maps, found.engine_errors), found.curve
     known = [
         (plane, error)
         for plane, error in zip(case.recorded, found.residual_maps, strict=True)
@@ -230,9 +230,10 @@ def _ramp(transmission: Field) -> list[Finding]:
     return [Finding("phase ramp", explanation)]
 
 
-def _residuals(
+def plane_residuals(
     case: ReconstructionProblem, maps: Sequence[Array], engine_errors: Sequence[Array | None]
 ) -> list[PlaneResidual]:
+    """Return the residuals of all planes, with the pixels that were held out."""
     planes = []
     errors = engine_errors or [None] * len(maps)
     for plane, error, held_out, plane_frames, engine in zip(
@@ -269,7 +270,7 @@ def may_be_stagnated(
 
 def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:
     """Return the largest residuals of all planes over those that count as explained."""
-    return max(plane.excess for plane in plane_verdicts(_residuals(case, maps, ())))
+    return max(plane.excess for plane in plane_verdicts(plane_residuals(case, maps, ())))
 
 
 def more_accurate_case(case: ReconstructionProblem, progress: Progress) -> ReconstructionProblem | None:

@@ -741,6 +741,25 @@ class FreeSpaceSettings(Settings):
         return value
 
 
+class LayerReconstructionSettings(LayerSettings):
+    """Layers of an object that are reconstructed from frames."""
+
+    option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
+
+    undetermined_layers: bool = Field(
+        False,
+        description="Reconstruct layers even if the frames do not determine them: the result is one of many "
+        "solutions, with few edges.",
+    )
+
+    @field_validator("undetermined_layers")
+    @classmethod
+    def _of_layers(cls, value: bool, info: ValidationInfo) -> bool:
+        if value and not info.data.get("layers_um"):
+            raise SettingError("{undetermined_layers}: requires {layers_um}")
+        return value
+
+
 class PlanSettings(Settings):
     """Settings of :func:`wavesim.calibration.plan_frames`."""
 

@@ -49,7 +49,7 @@ from wavesim.sensor.windows import (
     light_window,
     sensor_window,
 )
-from wavesim.targets.layers import LayerStack
+from wavesim.targets.layers import layer_stack
 from wavesim.targets.patch import Patch, Target, lit, lit_patch, make_target, transmission_of
 
 
@@ -218,7 +218,7 @@ def image(
         for index, plane in enumerate(planes)
     ]
     light = placed_light(light, true_state)
-    target, behind_object = _behind_object(light, layers, settings)
+    target, behind_object = _behind_object(patch, light, layers, settings)
     del light  # as large as the object field, which is kept
     limit = memory_limit(settings.memory_gb)
     with tiles_in(settings.cluster) as hand_over_tiles:
@@ -283,12 +283,14 @@ def _objects(object_: str | Field | Sequence[str | Field], settings: ImageSettin
     return objects * count if len(objects) == 1 else objects
 
 
-def _behind_object(light: Field, layers: Sequence[Target], settings: ImageSettings) -> tuple[Target, Field]:
+def _behind_object(
+    patch: Patch, light: Field, layers: Sequence[Target], settings: ImageSettings
+) -> tuple[Target, Field]:
     """Return the object as seen from the object plane, and the field behind it."""
     if settings.layers_um is None:
         (target,) = layers
         return target, light.with_values(light.values * target.transmission.values)
-    stack = LayerStack(light.grid, light, settings.layers_um)
+    stack = layer_stack(patch, light, settings.layers_um)
     transmissions = [layer.transmission.values for layer in layers]
     stack.check_lost_light(transmissions)
     behind = light.with_values(stack.forward(transmissions).behind.astype(light.values.dtype))

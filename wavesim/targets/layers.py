@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.fields.sampling_checks import SamplingWarning
+from wavesim.targets.illumination import field_stop
+from wavesim.targets.patch import Patch
 
 Array = NDArray[np.inexact[Any]]
 
@@ -38,7 +41,7 @@ class LayerFields(NamedTuple):
     behind : ndarray, shape (ny, nx)
         Field behind all layers, in the object plane.
     arriving : tuple of ndarray
-        Field that arrives at each layer, within the field stop.
+        Field that arrives at each layer, limited by the field stop.
     """
 
     behind: Array
@@ -57,6 +60,9 @@ class LayerStack:
         Illumination of the first layer, 0 outside the field stop.
     distances_um : tuple of float
         Distances of the layers from the object plane along the light, ascending; negative in front of it.
+    stop : ndarray, shape (ny, nx)
+        Fraction of each sample that the field stop leaves open. It limits the light on the layers behind the
+        first one.
 
     Raises
     ------
@@ -69,8 +75,8 @@ class LayerStack:
     >>> from wavesim import Field, Grid
     >>> from wavesim.targets.layers import LayerStack
     >>> grid = Grid((64, 64), 4e-4, 0.0)
-    >>> light = Field(grid, np.where(grid.radius_squared_mm2() < 0.01**2, 1.0, 0.0j), 0.532)
-    >>> stack = LayerStack(grid, light, (-20.0, 0.0))
+    >>> stop = np.where(grid.radius_squared_mm2() < 0.01**2, 1.0, 0.0)
+    >>> stack = LayerStack(grid, Field(grid, stop + 0j, 0.532), (-20.0, 0.0), stop)
     >>> fields = stack.forward([np.ones(grid.shape), np.full(grid.shape, 0.5)])
     >>> len(fields.arriving), fields.behind.shape
     (2, (64, 64))
@@ -79,6 +85,7 @@ class LayerStack:
     grid: Grid
     light: Field
     distances_um: tuple[float, ...]
+    stop: NDArray[np.floating[Any]]
 
     def __post_init__(self) -> None:
         validate_distances(self.distances_um)
@@ -86,9 +93,9 @@ class LayerStack:
             raise InputError(f"light: its grid {self.light.grid} is not the object's {self.grid}")
 
     @cached_property
-    def inside(self) -> NDArray[np.bool_]:
-        """Samples of a layer within the field stop."""
-        return np.asarray(self.light.values != 0.0)
+    def lit(self) -> NDArray[np.bool_]:
+        """Samples of a layer that the field stop does not cover."""
+        return np.asarray(self.stop > 0.0)
 
     @cached_property
     def _propagators(self) -> tuple[FreeSpacePropagator | None, ...]:
@@ -96,7 +103,7 @@ class LayerStack:
         ends = [*(self.grid.at(self.grid.z_mm + 1e-3 * um) for um in self.distances_um), self.grid]
         return tuple(
             None if start.z_mm == end.z_mm else FreeSpacePropagator(start, end, self.light.wavelength_um)
-            for start, end in zip(ends[:-1], ends[1:], strict=True)
+            for start, end in pairwise(ends)
         )
 
     def forward(self, transmissions: Sequence[Array]) -> LayerFields:
@@ -110,7 +117,8 @@ class LayerStack:
         field: Array = self.light.values
         arriving = []
         for transmission, propagator in zip(transmissions, self._propagators, strict=True):
-            field = np.where(self.inside, field, 0.0)
+            if arriving:
+                field = field * self.stop
             arriving.append(field)
             field = field * transmission
             if propagator is not None:
@@ -138,7 +146,7 @@ class LayerStack:
             if propagator is not None:
                 change = propagator.adjoint(change)
             changes.append(np.conj(arriving) * change)
-            change = np.where(self.inside, np.conj(transmission) * change, 0.0)
+            change = self.stop * np.conj(transmission) * change
         return changes[::-1]
 
     def check_lost_light(self, transmissions: Sequence[Array]) -> None:
@@ -162,6 +170,27 @@ class LayerStack:
             )
 
 
+def layer_stack(patch: Patch, light: Field, distances_um: Sequence[float]) -> LayerStack:
+    """Return the layers of an object on a patch, within its field stop.
+
+    Parameters
+    ----------
+    patch
+        Samples of the object plane, and the field stop.
+    light
+        Illumination of the first layer on these samples.
+    distances_um
+        Distances of the layers from the object plane, ascending.
+
+    Raises
+    ------
+    InputError
+        If the distances are not ascending.
+    """
+    stop = field_stop(patch.grid, "disc", patch.field_stop_mm, at_mm=patch.field_stop_at_mm)
+    return LayerStack(light.grid, light, tuple(distances_um), stop)
+
+
 def validate_distances(distances_um: Sequence[float]) -> None:
     """Check that distances of layers are finite and ascending.
 
@@ -174,5 +203,5 @@ def validate_distances(distances_um: Sequence[float]) -> None:
     if not len(distances_um) or not np.all(np.isfinite(distances_um)) or np.any(steps <= 0.0):
         given = ", ".join(f"{one:g}" for one in distances_um)
         raise InputError(
-            f"layers_um = {given}: must be finite and ascending, in the order in which light passes the layers"
+            f"layers_um = {given}: must be finite and ascending, in the order in which light passes them"
         )

@@ -1,0 +1,81 @@
+"""The search for layers: its gradient against finite differences, and layers without noise."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.analysis.oversampling import ObjectKind
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field
+from wavesim.forward.forward_model import ForwardModel
+from wavesim.reconstruction.layered import LayersObjective, find_layers
+from wavesim.scene.engine import Engine
+from wavesim.scene.patches import patch_scene
+from wavesim.sensor.measurement import Measurement
+from wavesim.targets.layers import LayerStack
+
+
+@cache
+def small_engine() -> Engine:
+    scene = patch_scene(scaled(load_design("designs/paper_singlet.toml"), 1 / 64), 0.016)
+    return engine_for(scene, "eikonal", error=0.1)
+
+
+def two_layers(distances_um: tuple[float, ...] = (-20.0, 0.0)) -> LayerStack:
+    scene = small_engine().scene
+    grid = scene.object_grid
+    inside = np.hypot(grid.x_mm, grid.y_mm[:, None]) < 0.006
+    light = Field(grid, inside.astype(complex), scene.wavelength_um)
+    return LayerStack(grid, light, distances_um, inside.astype(float))
+
+
+def recorded_of(stack: LayerStack, layers: list[np.ndarray]) -> list[Measurement]:
+    """The amplitudes on the exit grid and 0.1 mm behind it, known to 1e-3 of the largest."""
+    engine = small_engine()
+    field = engine.forward(stack.light.with_values(stack.forward(layers).behind))
+    planes = []
+    for distance_mm in (0.0, 0.1):
+        frequencies = np.fft.fftfreq(field.grid.shape[0], field.grid.pitch_mm)
+        squared = (1e3 / stack.light.wavelength_um) ** 2 - frequencies[:, None] ** 2 - frequencies**2
+        phase = np.exp(2j * np.pi * distance_mm * np.sqrt(np.maximum(squared, 0.0)))
+        amplitude = np.abs(np.fft.ifft2(np.fft.fft2(field.values) * phase * (squared > 0.0)))
+        planes.append(Measurement(distance_mm, amplitude, np.full(amplitude.shape, 1e-3 * amplitude.max())))
+    return planes
+
+
+@pytest.mark.parametrize("kind", ["amplitude", "phase", "complex"])
+def test_the_gradient_is_that_of_finite_differences(kind: ObjectKind) -> None:
+    stack = two_layers()
+    rng = np.random.default_rng(3)
+    truth = [rng.uniform(0.3, 1.0, stack.grid.shape) for _ in range(2)]
+    even = Field(stack.grid, np.ones(stack.grid.shape, complex), stack.light.wavelength_um)
+    objective = LayersObjective(
+        ForwardModel(small_engine(), even, recorded_of(stack, truth), None), stack, kind
+    )
+    objective.fit_scale(objective.start())
+    objective.tv_weight = 0.01
+    at = objective.start() + 0.2 * rng.uniform(size=objective.start().size)
+    direction, step = rng.normal(size=at.size), 1e-5
+    numeric = (objective(at + step * direction)[0] - objective(at - step * direction)[0]) / (2.0 * step)
+    # The adjoint of the eikonal engine is exact up to its single precision.
+    assert objective(at)[1] @ direction == pytest.approx(numeric, rel=5e-3)
+
+
+@pytest.mark.parametrize("kind", ["amplitude", "phase"])
+def test_two_layers_are_found_each_on_its_own_plane(kind: ObjectKind) -> None:
+    stack = two_layers()
+    x, y = stack.grid.x_mm, stack.grid.y_mm[:, None]
+    discs = [np.hypot(x - at_x, y - at_y) < 0.0015 for at_x, at_y in ((0.002, 0.001), (-0.002, 0.0))]
+    truth = [np.where(disc, 0.3 if kind == "amplitude" else np.exp(1.5j), 1.0) for disc in discs]
+    found = find_layers(small_engine(), stack, recorded_of(stack, truth), kind=kind, iterations=120)
+    for layer, distance_um, true in zip(found.transmissions, stack.distances_um, truth, strict=True):
+        assert layer.grid.z_mm == pytest.approx(stack.grid.z_mm + 1e-3 * distance_um)
+        values, expected = layer.values[stack.lit], true[stack.lit]
+        values, expected = values - values.mean(), expected - expected.mean()
+        correlation = abs(np.vdot(values, expected)) / np.linalg.norm(values) / np.linalg.norm(expected)
+        assert correlation > 0.95
+    assert found.misfit[-1] < 0.1 * found.misfit[0]
