@@ -37,6 +37,7 @@ SCRIPTS = (
     "reconstruction",
     "cover_glass",
     "iterations",
+    "layers",
     "phase_retrieval",
     "refocusing",
     "uncertainty",

@@ -47,7 +47,7 @@ LEAST_RATIO = 3.0
 FIELD_NUMBERS = 2
 """Real numbers for each degree of freedom of the light behind the layers: amplitude and phase."""
 
-ITERATIONS = 400
+ITERATIONS = 300
 """Default of the largest number of iterations."""
 
 UNUSED_SETTINGS = (

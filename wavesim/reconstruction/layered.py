@@ -11,7 +11,7 @@ coarse structure from one layer to another changes the light very little, and gr
 thousands of iterations to do so.
 
 The weight of the total variation follows the misfit, as in :mod:`wavesim.reconstruction.object_solver`. It is
-updated every few iterations, so that a search that starts from an even object first finds coarse structure.
+updated every few iterations. A search that starts from an even object then finds coarse structure first.
 
 The factors of single layers are not determined, only their product. Layers are normalized: the brightest
 amplitude is 1, or the mean phase is 0.
@@ -26,6 +26,7 @@ using a multi-slice approach", J. Opt. Soc. Am. A 29, 1606 (2012).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -38,7 +39,7 @@ from lensdesign.analysis.oversampling import ObjectKind
 from lensdesign.common.memory import check_memory
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.reconstruction.object_solver import TV_PER_NOISE, validate_measurements, validate_numbers
+from wavesim.reconstruction.object_solver import validate_measurements, validate_numbers
 from wavesim.reconstruction.stop_rule import AT_NOISE, Stop
 from wavesim.scene.engine import Engine
 from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit, noise_misfit
@@ -47,14 +48,25 @@ from wavesim.targets.layers import LayerStack
 RealArray = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
-ROUND_ITERATIONS = 40
-"""Iterations between two updates of the weight of the total variation."""
+SHORT_ROUND, LONG_ROUND = 20, 60
+"""Iterations between two updates of the weight of the total variation: while the misfit falls by more than
+the fraction `FAST_FALL` in a round, and afterwards.
+"""
+
+FAST_FALL = 0.15
+
+TV_PER_NOISE = 0.15
+"""Weight of the total variation over the standard deviation of the noise of a step.
+
+It is smaller than that of a single layer. Among layers that explain the frames equally well, a larger weight
+prefers those whose contrast has moved to one of them.
+"""
 
 HISTORY = 15
 """Number of corrections that the quasi-Newton method keeps."""
 
 ROUNDED_STEP = 0.02
-"""Difference of neighbouring samples below which the total variation is rounded, so that it has a gradient."""
+"""Difference of neighbouring samples below which the total variation is rounded, so that it is smooth."""
 
 TOLERANCE = 1e-3
 """Relative change of the misfit over a round at which iterations end."""
@@ -92,7 +104,7 @@ def find_layers(
     *,
     kind: ObjectKind = "amplitude",
     tv_weight: float | str = "auto",
-    iterations: int = 400,
+    iterations: int = 300,
     fill_factor: float = 0.0,
     scale: float | None = None,
     progress: Callable[[int, float], None] | None = None,
@@ -111,7 +123,8 @@ def find_layers(
         "amplitude" for real transmissions that are not negative, "phase" for transmissions of modulus 1, or
         "complex".
     tv_weight
-        Weight of the total variation of each layer; "auto": from the noise, see :func:`wavesim.reconstruct`.
+        Weight of the total variation of each layer; "auto": `TV_PER_NOISE` times the noise of a step, times
+        the ratio of the misfit to that of noise alone.
     iterations
         Largest number of iterations.
     fill_factor
@@ -174,7 +187,9 @@ def find_layers(
     objective = LayersObjective(model, stack, kind)
     if scale is None:
         objective.fit_scale(objective.start())
-    search = _Search(objective, tv_weight, noise_misfit(recorded), iterations, scale is None, progress)
+    # Layers of modulus 1 cannot take up an error of the scale, which the even object leaves.
+    fits_scale = scale is None and kind == "phase"
+    search = _Search(objective, tv_weight, noise_misfit(recorded), iterations, fits_scale, progress)
     values, misfits, reason = search.run()
     transmissions, factor = parameters.normalized(objective.transmissions(values), stack.lit)
     model.scale *= factor
@@ -233,17 +248,17 @@ class LayersObjective:
             layers.append(values)
         return layers
 
-    def normalized(self, unknowns: RealArray) -> RealArray:
-        """Return the unknowns of normalized layers, within the bounds."""
-        layers, _ = self.parameters.normalized(self.transmissions(unknowns), self.inside)
-        parts = [self.parameters.from_transmission(layer[self.inside]) for layer in layers]
-        return np.clip(np.concatenate(parts), *self.parameters.bounds)
-
     def fit_scale(self, unknowns: RealArray) -> None:
-        """Fit the scale to given layers, and keep it."""
-        self.model.fits_scale, self.model.knows_scale = True, False
-        self.model.step(self.stack.forward(self.transmissions(unknowns)).behind)
-        self.model.fits_scale = False
+        """Set the scale with which the light of given layers has the energy of the measured light.
+
+        A least-squares fit of amplitudes would give a smaller scale, as long as the layers are wrong.
+        """
+        model = self.model
+        model.fits_scale, model.knows_scale = True, False
+        _, misfit = model.step(self.stack.forward(self.transmissions(unknowns)).behind)
+        model.fits_scale = False
+        # The least-squares scale explains the fraction 1 - misfit^2 of the energy.
+        model.scale /= math.sqrt(max(1.0 - misfit**2, 1e-6))
 
     def __call__(self, unknowns: RealArray) -> tuple[float, RealArray]:
         """Return the objective and its gradient. The misfit is stored in `misfit`."""
@@ -284,8 +299,8 @@ class _Parameters:
     ----------
     numbers : int
         Unknowns of a sample.
-    bounds : tuple of float
-        Bounds of an unknown, once layers are normalized.
+    lowest : float or None
+        Lower bound of an unknown.
     to_transmission, from_transmission : callable
         Conversions between unknowns and transmissions, shape (samples,).
     gradient : callable
@@ -296,7 +311,7 @@ class _Parameters:
     """
 
     numbers: int
-    bounds: tuple[float, float]
+    lowest: float | None
     to_transmission: Callable[[RealArray], Any]
     from_transmission: Callable[[Any], RealArray]
     gradient: Callable[[ComplexArray, ComplexArray], RealArray]
@@ -331,7 +346,7 @@ def _halves(values: RealArray) -> ComplexArray:
 _PARAMETERS: dict[ObjectKind, _Parameters] = {
     "amplitude": _Parameters(
         1,
-        (0.0, 1.0),
+        0.0,
         lambda unknowns: unknowns,
         lambda transmission: np.abs(transmission),
         lambda gradient, transmission: gradient.real,
@@ -339,7 +354,7 @@ _PARAMETERS: dict[ObjectKind, _Parameters] = {
     ),
     "phase": _Parameters(
         1,
-        (-np.inf, np.inf),
+        None,
         lambda unknowns: np.exp(1j * unknowns),
         lambda transmission: np.angle(transmission),
         lambda gradient, transmission: (np.conj(1j * transmission) * gradient).real,
@@ -347,7 +362,7 @@ _PARAMETERS: dict[ObjectKind, _Parameters] = {
     ),
     "complex": _Parameters(
         2,
-        (-np.inf, np.inf),
+        None,
         _halves,
         lambda transmission: np.concatenate([transmission.real, transmission.imag]),
         lambda gradient, transmission: np.concatenate([gradient.real, gradient.imag]),
@@ -374,7 +389,8 @@ class _Search:
         noise = objective.model.noise_of_step() if self.tv_weight == "auto" else 0.0
         unknowns = objective.start()
         objective(unknowns)
-        bounds = objective.parameters.bounds
+        lowest = -np.inf if objective.parameters.lowest is None else objective.parameters.lowest
+        length = SHORT_ROUND
 
         def after_iteration(_: RealArray) -> None:
             misfits.append(objective.misfit)
@@ -383,32 +399,30 @@ class _Search:
 
         while len(misfits) < self.iterations:
             before, done = objective.misfit, len(misfits)
-            highest = np.inf
             if done and self.fits_scale:
-                unknowns = objective.normalized(unknowns)
                 objective.fit_scale(unknowns)
-                highest = bounds[1]
             objective.tv_weight = self._weight(noise)
             unknowns = scipy.optimize.minimize(
                 objective,
                 unknowns,
                 jac=True,
                 method="L-BFGS-B",
-                bounds=scipy.optimize.Bounds(bounds[0], highest),
+                bounds=scipy.optimize.Bounds(lowest, np.inf),
                 callback=after_iteration,
                 options={
-                    "maxiter": min(ROUND_ITERATIONS, self.iterations - done),
+                    "maxiter": min(length, self.iterations - done),
                     "maxcor": HISTORY,
                     "ftol": 0.0,
                     "gtol": 0.0,
                 },
             ).x
             objective(unknowns)
-            if len(misfits) == done:
-                return unknowns, tuple(misfits) or (objective.misfit,), "converged"
-            if abs(before / objective.misfit - 1.0) < TOLERANCE:
+            fall = 1.0 - objective.misfit / before
+            if len(misfits) == done or (length == LONG_ROUND and abs(fall) < TOLERANCE):
                 at_noise = objective.misfit <= AT_NOISE * (self.misfit_of_noise or 0.0)
-                return unknowns, tuple(misfits), "noise" if at_noise else "converged"
+                return unknowns, tuple(misfits) or (before,), "noise" if at_noise else "converged"
+            if fall < FAST_FALL:
+                length = LONG_ROUND
         return unknowns, tuple(misfits), "iterations"
 
     def _weight(self, noise: float) -> float:
