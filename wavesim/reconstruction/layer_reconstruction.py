@@ -408,5 +408,5 @@ def _compared(case: ReconstructionProblem, found: Field, true: Field) -> dict[st
     """Return the comparison of a layer with the true one, both as the lens transmits them."""
     inside = case.patch.inside
     light = Field(case.light.grid, inside.astype(np.complex64), case.light.wavelength_um)
-    layers = (light.with_values(one.values * inside) for one in (found, true))
-    return truth_metrics(*layers, light, inside, case.engine.scene, case.scratch)
+    found, true = (light.with_values(one.values * inside) for one in (found, true))
+    return truth_metrics(found, true, light, inside, case.engine.scene, case.scratch)

@@ -269,7 +269,7 @@ class LayersObjective:
         gradients = self.stack.adjoint(change, layers, fields)
         parts = []
         for layer, gradient in zip(layers, gradients, strict=True):
-            total = -gradient
+            total = np.asarray(-gradient, complex)
             if self.tv_weight > 0.0:
                 variation, slope = self._total_variation(layer)
                 value += self.tv_weight * variation
@@ -402,7 +402,7 @@ class _Search:
             if done and self.fits_scale:
                 objective.fit_scale(unknowns)
             objective.tv_weight = self._weight(noise)
-            unknowns = scipy.optimize.minimize(
+            unknowns = scipy.optimize.minimize(  # type: ignore[call-overload]
                 objective,
                 unknowns,
                 jac=True,

@@ -115,7 +115,7 @@ class LayerStack:
             Transmission of each layer, shape (ny, nx), in the order in which light passes them.
         """
         field: Array = self.light.values
-        arriving = []
+        arriving = list[Array]()
         for transmission, propagator in zip(transmissions, self._propagators, strict=True):
             if arriving:
                 field = field * self.stop
