@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from time import perf_counter
 from typing import NamedTuple
@@ -30,6 +31,7 @@ from wavesim.fields.field import Field
 from wavesim.reconstruction.layer_reconstruction import FoundLayers, reconstruct_layers
 from wavesim.scene.settings import PatchSettings
 from wavesim.sensor.frames import Frame, FrameSettings
+from wavesim.sensor.pixels.maps import PixelMaps
 from wavesim.sensor.windows import exit_scene, sensor_window
 from wavesim.targets.patch import Patch, lit, object_patch
 
@@ -48,13 +50,14 @@ BANDS_PER_UM = ((0.0, 0.03), (0.03, 0.06), (0.06, 0.12), (0.12, 0.25), (0.25, 0.
 
 
 class Case(NamedTuple):
-    """Layers of a kind and a sort, and the number of planes that record them."""
+    """Layers of a kind and a sort, the number of planes that record them, and the fraction of used pixels."""
 
     kind: ObjectKind
     sort: str
     layers_um: tuple[float, ...]
     planes: int
     stop_mm: float = STOP_MM
+    used_pixels: float = 1.0
 
 
 TWO_UM, THREE_UM = (-20.0, 0.0), (-40.0, -20.0, 0.0)
@@ -72,7 +75,7 @@ RATIO_CASES = tuple(
         ("complex", "sparse", TWO_UM, (4,)),
     )
     for planes in plane_counts
-)
+) + tuple(Case("amplitude", "dense", TWO_UM, 2, used_pixels=used) for used in (0.5, 0.4))
 DISTANCE_CASES = tuple(Case("amplitude", "sparse", (-um, 0.0), 2) for um in (4.0, 8.0, 16.0, 32.0))
 
 
@@ -183,6 +186,11 @@ def outcome(case: Case, seed: int = 0) -> tuple[FoundLayers, list[NDArray]]:
         for index in range(1, len(case.layers_um) + 1)
     ]
     frames = independent_frames(lens, patch, field_behind(patch, case.layers_um, layers), planes_mm, seed)
+    if case.used_pixels < 1.0:
+        rng = np.random.default_rng(seed)
+        shape = frames[0].counts.shape
+        masks = {plane: PixelMaps(bad=rng.random(shape) >= case.used_pixels) for plane in planes_mm}
+        frames = [replace(frame, maps=masks[frame.settings.plane_distance_mm]) for frame in frames]
     true = [Field(patch.grid, layer * patch.inside, patch.wavelength_um) for layer in layers]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -218,21 +226,37 @@ def correlation_in_band(
 def _row(case: Case, found: FoundLayers, seconds: float) -> str:
     correlations = ", ".join(f"{one['object_correlation']:.3f}" for one in found.truth)
     layers = ", ".join(f"{one:g}" for one in case.layers_um)
-    return (
-        f"| {case.kind} | {case.sort} | {layers} | {case.planes} | {found.oversampling.ratio:.2f} | "
-        f"{correlations} | {found.verdict.over_noise:.2f} | {len(found.curve)} | {seconds:.0f} |"
+    values = (
+        case.kind,
+        case.sort,
+        layers,
+        case.planes,
+        f"{case.used_pixels:g}",
+        f"{found.oversampling.ratio:.2f}",
+        correlations,
+        f"{found.verdict.over_noise:.2f}",
+        len(found.curve),
+        f"{seconds:.0f}",
     )
+    return f"| {' | '.join(map(str, values))} |"
 
 
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="", help="kind, sort or number of layers; separated by commas")
+    parser.add_argument("--only", default="", help="words of cases, such as dense,phase,2 planes")
     chosen = [word for word in parser.parse_args().only.split(",") if word]
-    print("| kind | sort | layers (µm) | planes | ratio | correlations | over noise | iterations | seconds |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    columns = ("kind", "sort", "layers (µm)", "planes", "used pixels", "ratio", "correlations", "over noise")
+    print("| " + " | ".join((*columns, "iterations", "seconds")) + " |")
+    print("| --- |" + " --- |" * (len(columns) + 1))
     for case in RATIO_CASES:
-        names = {case.kind, case.sort, f"{len(case.layers_um)} layers", f"{case.planes} planes"}
+        names = {
+            case.kind,
+            case.sort,
+            f"{len(case.layers_um)} layers",
+            f"{case.planes} planes",
+            f"{case.used_pixels:g} used",
+        }
         if set(chosen) <= names:
             begun = perf_counter()
             found, _ = outcome(case)

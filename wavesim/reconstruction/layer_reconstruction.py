@@ -242,9 +242,9 @@ def reconstruct_layers(
     >>> from lensdesign import load_design, scaled
     >>> from wavesim import image, reconstruct_layers
     >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
-    >>> patch = {"patch_mm": 0.02, "field_stop_mm": 0.014, "engine": "eikonal", "error": 0.1}
+    >>> patch = {"patch_mm": 0.03, "field_stop_mm": 0.024, "engine": "eikonal", "error": 0.1}
     >>> layers_um = (-20.0, 0.0)
-    >>> taken = image(lens, ("star", "tissue"), layers_um=layers_um, **patch)
+    >>> taken = image(lens, ("star", "empty"), layers_um=layers_um, exposures=(1.0, 30.0, 1000.0), **patch)
     >>> found = reconstruct_layers(lens, taken.frames, layers_um, kind="amplitude", iterations=4, **patch)
     >>> len(found.transmissions), found.oversampling.ratio > 3.0
     (2, True)
