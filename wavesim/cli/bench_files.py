@@ -37,14 +37,19 @@ def read_empty(
 
     if not paths:
         return None
+    return read_frames(frame_files(paths, "{empty}"), of_frames, lens=lens)
+
+
+def frame_files(paths: Sequence[Path], named: str) -> list[Path]:
+    """Return the files of frames, given by themselves or by folders of `wavesim image`."""
     files: list[Path] = []
     pattern = "frame_*.tif"
     for path in paths:
         inside = sorted(path.glob(pattern)) if path.is_dir() else [path]
         if not inside:
-            raise SettingError(f"{{empty}}: {path}: contains no {pattern}")
+            raise SettingError(f"{named}: {path}: contains no {pattern}")
         files += inside
-    return read_frames(files, of_frames, lens=lens)
+    return files
 
 
 def read_priors(path: Path | None, lens: Lens) -> dict[str, float] | None:

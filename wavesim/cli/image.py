@@ -17,6 +17,7 @@ from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_bench_state
 from wavesim.cli.options import Output, print_warnings, settings_text
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
+from wavesim.scene.patches import OBJECT_FINENESS
 from wavesim.scene.settings import ImageSettings
 from wavesim.targets.patch import layer_file
 
@@ -67,7 +68,8 @@ def image(
     all_wavelengths: Annotated[
         bool,
         typer.Option(
-            help="Record at each wavelength of the design, each in its own subfolder.",
+            help="Record one after the other at each wavelength of --wavelengths-um, or of the design; each "
+            "in its own subfolder.",
             rich_help_panel=OptionGroup.ILLUMINATION,
         ),
     ] = False,
@@ -106,9 +108,20 @@ def _runs(
         return [(output, settings)]
     if settings.wavelength_um is not None:
         raise InputError("--all-wavelengths, --wavelength-um: give only one of them")
+    if settings.colour_filters != "monochrome":
+        raise InputError("--all-wavelengths, --colour-filters: give only one of them")
+    several, pitch_um = settings.wavelengths_um, settings.object_pitch_um
+    if several is not None and pitch_um is None:
+        # The samples of all wavelengths are those that the shortest one needs.
+        pitch_um = OBJECT_FINENESS * 0.5 * min(several) / lens.object.numerical_aperture
+    alone = settings.replaced(wavelengths_um=None, object_pitch_um=pitch_um)
+    if several is not None and settings.pixels is None:
+        from wavesim.sensor.imaging import common_pixels
+
+        alone = alone.replaced(pixels=common_pixels(lens, alone, several))
     return [
-        (output / f"{wavelength:g}_um", settings.replaced(wavelength_um=wavelength))
-        for wavelength in lens.wavelengths_um
+        (output / f"{wavelength:g}_um", alone.replaced(wavelength_um=wavelength))
+        for wavelength in several or lens.wavelengths_um
     ]
 
 
@@ -160,6 +173,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
         "polarization": imaged.engine.scene.polarization,
         "coating": settings.coating or "design",
         "wavelength_um": patch.wavelength_um,
+        **_colours(imaged),
         "engine": engine_summary(imaged.engine, imaged.predicted_error),
         "pose": vars(settings.pose),
         "errors": settings.errors(),
@@ -207,6 +221,12 @@ def _scattered(imaged: Imaged) -> dict[str, Any]:
             "interference_rms": found.interference_rms,
         }
     }
+
+
+def _colours(imaged: Imaged) -> dict[str, Any]:
+    """Describe the wavelengths that are recorded at once, and the filters; empty for one wavelength."""
+    colours = imaged.recording.colours
+    return {} if colours is None else {"colours": colours.model_dump(mode="json")}
 
 
 def _finest(imaged: Imaged) -> dict[str, Any]:
@@ -257,6 +277,7 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
     from wavesim.plots.objects import layers_figure, object_figure
     from wavesim.plots.pyramid import write_pyramid
     from wavesim.sensor.frames import write_frame
+    from wavesim.targets.patch import object_file
 
     patch, transmission = imaged.patch, imaged.target.transmission
     with new_results(output) as folder:
@@ -265,11 +286,15 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
         x_mm, y_mm = patch.field_stop_at_mm
         of_stop = {"field_stop_mm": patch.field_stop_mm, "field_stop_x_mm": x_mm, "field_stop_y_mm": y_mm}
         write_field(transmission, folder / "object.npz", **of_stop)
+        for one in imaged.coloured:
+            write_field(one, folder / object_file(one.wavelength_um), **of_stop)
         for quantity, name in (("amplitude", "object_amplitude.tif"), ("phase_rad", "object_phase.tif")):
             write_pyramid(transmission.values, folder / name, 1e3 * patch.grid.pitch_mm, (quantity,))
         for index, layer in enumerate(imaged.layers, start=1):
             write_field(layer.transmission, folder / layer_file(index), **of_stop)
-        light = f"{patch.wavelength_um:g} µm"
+        colours = imaged.recording.colours
+        at_once = (patch.wavelength_um,) if colours is None else colours.wavelengths_um
+        light = ", ".join(f"{one:g}" for one in at_once) + " µm"
         title = f"{summary['design']}\nobject {imaged.target.name}, {light}, {patch.stop_words}"
         drawn = object_figure(transmission, patch.inside, title, elements=imaged.target.elements)
         save(drawn, folder / "object.png")
@@ -310,6 +335,11 @@ def _print(summary: dict[str, Any], output: Path) -> None:
         print(f"  layer at {layer['distance_um']:g} µm: {layer['name']}")
     print(f"engine {engine['name']}, predicted relative error {predicted}")
     print(f"  {settings_text(engine['settings'])}")
+    if "colours" in summary:
+        several = ", ".join(f"{one:g}" for one in summary["colours"]["wavelengths_um"])
+        filters = "/".join(summary["colours"]["pattern"])
+        where = "a monochrome sensor" if filters == "M" else f"colour filters {filters}"
+        print(f"{several} um at once, on {where}")
     if is_vector(summary["polarization"]):
         print(f"  components of {polarization_text(summary['polarization'])}")
     print(

@@ -121,8 +121,13 @@ class PictureFile:
                 orientation = int(image.getexif().get(ORIENTATION, 1))
                 self._pages = [_Page(n, orientation, False, 8, _UNSIGNED) for n in range(self.count)]
 
-    def single_picture(self) -> Picture:
+    def single_picture(self, channel: int | None = None) -> Picture:
         """Return the picture of a file with a single picture.
+
+        Parameters
+        ----------
+        channel
+            Index of a channel of colours (red, green, blue); default: their luma.
 
         Raises
         ------
@@ -134,9 +139,9 @@ class PictureFile:
                 f"{self._who}: contains {self.count} pictures: must contain one; save the wanted picture in "
                 "a file of its own"
             )
-        return self.picture(0)
+        return self.picture(0, channel)
 
-    def picture(self, index: int) -> Picture:
+    def picture(self, index: int, channel: int | None = None) -> Picture:
         """Return one of the pictures by its index from 0.
 
         Raises
@@ -162,7 +167,12 @@ class PictureFile:
                 values, is_opaque = self._contiguous[index], True
             else:
                 is_opaque = not states_alpha or _is_opaque(image)
-                values = np.asarray(image if mode in GREY_MODES else image.convert("L"))
+                if mode in GREY_MODES:
+                    values = np.asarray(image)
+                elif channel is None:
+                    values = np.asarray(image.convert("L"))
+                else:
+                    values = np.asarray(image.convert("RGB"))[..., channel]
             if page.sample == _UNSIGNED and values.dtype == np.int32:
                 values = values.view(np.uint32)
             return Picture(

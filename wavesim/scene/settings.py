@@ -437,6 +437,62 @@ class ObjectSettings(Settings):
     )
 
 
+class ColourObjectSettings(Settings):
+    """Wavelengths recorded together, filters on the pixels, and objects that depend on the wavelength."""
+
+    option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
+
+    wavelengths_um: Numbers | None = Field(
+        None,
+        description="Wavelengths that the sensor records at once, or one after the other with "
+        "--all-wavelengths.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
+    colour_filters: str = Field(
+        "monochrome",
+        description="Filters on the pixels, of light of several wavelengths: monochrome (none), bayer, or "
+        "FILE (TOML) of a pattern and its responses.",
+        json_schema_extra={"group": OptionGroup.CAMERA, "metavar": "[monochrome|bayer]|FILE"},
+    )
+    channels: bool = Field(
+        False,
+        description="Whether a colour picture transmits a wavelength as its red, green or blue channel does.",
+    )
+    thickness_um: Size | None = Field(
+        None,
+        description="The object is a clear film of this thickness where its amplitude is 1, and thinner in "
+        "proportion elsewhere.",
+    )
+    film_index: float = Field(1.5, gt=1.0, le=5.0, description="Refractive index of such a film, in air.")
+
+    @field_validator("wavelengths_um")
+    @classmethod
+    def _several(cls, wavelengths: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if wavelengths is None:
+            return None
+        for wavelength in wavelengths:
+            doubt = WAVELENGTH_UM.objection(wavelength, "um")
+            if doubt is not None:
+                raise ValueError(doubt)
+        if len(wavelengths) < 2 or len(set(wavelengths)) < len(wavelengths):
+            raise ValueError("must be two or more different wavelengths")
+        return wavelengths
+
+    @field_validator("colour_filters")
+    @classmethod
+    def _of_several(cls, filters: str, info: ValidationInfo) -> str:
+        if filters != "monochrome" and info.data.get("wavelengths_um") is None:
+            raise SettingError("{colour_filters}: requires {wavelengths_um}")
+        return filters
+
+    @field_validator("thickness_um")
+    @classmethod
+    def _without_channels(cls, thickness_um: float | None, info: ValidationInfo) -> float | None:
+        if thickness_um is not None and info.data.get("channels"):
+            raise SettingError("{channels}, {thickness_um}: give only one of them")
+        return thickness_um
+
+
 class LayerSettings(Settings):
     """Positions of the layers of an object that has several."""
 
@@ -460,6 +516,7 @@ class LayerSettings(Settings):
 
 
 class ImageSettings(
+    ColourObjectSettings,
     PoseSettings,
     MachineSettings,
     EngineSettings,
@@ -711,6 +768,96 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         """Range in which the focus is searched; default: the method's."""
         paper_refocus_mm = (-0.01, 0.01)
         return self.refocus_mm or (paper_refocus_mm if self.method == "paper" else None)
+
+
+class ColourSettings(PoseSettings, EngineSettings, PatchSettings):
+    """Settings of :func:`wavesim.reconstruct_colours`. Lengths are in the unit that their names state.
+
+    Examples
+    --------
+    >>> from wavesim.scene.settings import ColourSettings
+    >>> ColourSettings(kind="thickness", film_index=1.46).film_index
+    1.46
+    """
+
+    option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
+
+    kind: Literal["complex", "amplitude", "thickness"] = Field(
+        "complex",
+        description="Object: complex or amplitude at each wavelength, or a grey film whose thickness all "
+        "wavelengths share.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
+    )
+    iterations: int = Field(150, ge=1, description="Largest number of iterations.")
+    tv_weight: float | Literal["auto"] = Field(
+        "auto", description="Weight of the total variation; auto: from the noise."
+    )
+    start: Literal["even", "amplitude"] = Field(
+        "even", description="Start: even, or amplitude: first iterations seek an amplitude object."
+    )
+    scale: Size | None = Field(
+        None,
+        description="Recorded amplitude where the transmission is 1; default: fitted.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
+    )
+    fill_factor: float = Field(
+        1.0,
+        ge=0.0,
+        le=1.0,
+        description="Linear fill factor of a pixel (0 to 1).",
+        json_schema_extra={"group": OptionGroup.CAMERA},
+    )
+    film_index: float | None = Field(
+        None,
+        gt=1.0,
+        le=5.0,
+        description="Refractive index of a film in air, whose height is then found from all wavelengths.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
+    )
+    heights_um: Pair | None = Field(
+        None,
+        description="Lowest and highest possible height; default: the range that is unambiguous.",
+        json_schema_extra={"group": OptionGroup.OBJECT, "metavar": "LOW,HIGH"},
+    )
+    ground_mm: tuple[float, float, float, float] | None = Field(
+        None,
+        description="x,y,width,height of a region whose height is 0; default: the most common phase.",
+        json_schema_extra={"group": OptionGroup.OBJECT, "metavar": "X,Y,WIDTH,HEIGHT"},
+    )
+    repeats: int = Field(
+        10,
+        ge=2,
+        le=1000,
+        description="Repeats with other noise, from which the deviations of heights follow.",
+        json_schema_extra={"group": OptionGroup.EVALUATION},
+    )
+    seed: int = Field(
+        0, ge=0, description="Seed of that noise.", json_schema_extra={"group": OptionGroup.OUTPUT}
+    )
+
+    @field_validator("tv_weight")
+    @classmethod
+    def _weight(cls, weight: float | str) -> float | str:
+        if not isinstance(weight, str) and not 0.0 <= weight < math.inf:
+            raise ValueError("must be finite and not negative, or 'auto'")
+        return weight
+
+    @field_validator("film_index")
+    @classmethod
+    def _of_films(cls, film_index: float | None, info: ValidationInfo) -> float | None:
+        kind = info.data.get("kind")
+        if film_index is not None and kind == "amplitude":
+            raise SettingError("{film_index}: cannot be used with {kind} amplitude, which has no phase")
+        return film_index
+
+    @field_validator("heights_um", "ground_mm")
+    @classmethod
+    def _with_index(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and info.data.get("film_index") is None:
+            raise SettingError(f"{{{info.field_name}}}: requires {{film_index}}")
+        if value is not None and info.field_name == "heights_um" and not value[0] < value[1]:
+            raise ValueError("must be two increasing numbers")
+        return value
 
 
 class FreeSpaceSettings(Settings):

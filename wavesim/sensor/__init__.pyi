@@ -1,5 +1,6 @@
 from .camera_noise import Electronics, SaturationWarning, plane_seeds
-from .frame_sets import read_frames, recorded_planes
+from .colour_filters import ColourFilters
+from .frame_sets import read_colour_frames, read_frames, recorded_planes
 from .frames import Frame, FrameSettings, read_frame, write_frame
 from .imaging import Imaged, image
 from .measurement import Measurement, recorded_intensity
@@ -16,6 +17,7 @@ from .sensor import (
 from .windows import DiversityWarning, diversity, exit_scene, sensor_window
 
 __all__ = [
+    "ColourFilters",
     "DiversityWarning",
     "Electronics",
     "FootprintWarning",
@@ -36,6 +38,7 @@ __all__ = [
     "light_on_pixels",
     "merged_intensity",
     "plane_seeds",
+    "read_colour_frames",
     "read_frame",
     "read_frames",
     "record",

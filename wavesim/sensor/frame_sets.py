@@ -170,6 +170,64 @@ def read_frames(
     return tuple(checked)
 
 
+def read_colour_frames(
+    paths: Sequence[Path],
+    settings: FrameSetSettings | None = None,
+    *,
+    lens: Lens | None = None,
+    **changes: Any,
+) -> tuple[Frame, ...]:
+    """Read frames of several wavelengths, and check that those of the same wavelengths belong together.
+
+    Parameters
+    ----------
+    paths, settings, lens, **changes
+        See :func:`read_frames`. Lengths and exposures of frames are in the order of all paths.
+
+    Returns
+    -------
+    tuple of Frame
+        The frames of one wavelength after the other, or of those that were recorded at once; the frames of
+        each are ordered as by :func:`read_frames`.
+
+    Raises
+    ------
+    InputError
+        See :func:`read_frames`.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image, write_frame
+    >>> from wavesim.sensor import read_colour_frames
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> light = {"wavelengths_um": (0.532, 0.635), "engine": "eikonal", "error": 0.1}
+    >>> taken = image(lens, "star", patch_mm=0.03, planes_mm=(0.03,), **light)
+    >>> write_frame(taken.frames[0], folder / "both.tif")  # any folder
+    >>> read_colour_frames([folder / "both.tif"])[0].settings.wavelengths_um
+    (0.532, 0.635)
+    """
+    settings = (settings or FrameSetSettings()).replaced(**changes)
+    given = _given(len(paths), settings)
+    defaults = _assumed(len(paths), lens)
+    groups: dict[str, list[int]] = {}
+    for index, (path, known, own) in enumerate(zip(paths, defaults, given, strict=True)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the frames are read again, and then warn
+            frame = read_frame(path, known, **own)
+        colours = frame.settings.colours
+        light = f"{frame.settings.wavelength_um:.12g} {colours and colours.model_dump_json()}"
+        groups.setdefault(light, []).append(index)
+    frames = list[Frame]()
+    for indices in groups.values():
+        lists = {"plane_distance_mm": settings.plane_distance_mm, "exposure": settings.exposure}
+        own_lists = {
+            name: tuple(all_[n] for n in indices) for name, all_ in lists.items() if all_ is not None
+        }
+        frames += read_frames([paths[n] for n in indices], settings.replaced(**own_lists), lens=lens)
+    return tuple(frames)
+
+
 def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSetSettings) -> list[Frame]:
     """Return the frames with the pixel maps that the settings name."""
     own = frames[0].settings
@@ -195,7 +253,13 @@ def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSe
 
 
 def _without_bad(frames: Sequence[Frame]) -> list[Frame]:
-    """Return the frames with hot and dead pixels marked as bad."""
+    """Return the frames with hot and dead pixels marked as bad.
+
+    Pixels behind different filters differ too much from each other to be compared.
+    """
+    colours = frames[0].settings.colours
+    if colours is not None and not colours.is_monochrome:
+        return list(frames)
     planes = frames_by_plane(frames)
     result = list[Frame]()
     for plane, found in zip(planes, find_bad_pixels(planes), strict=True):
@@ -299,6 +363,10 @@ def _check_consistent(paths: Sequence[Path], frames: Sequence[Frame]) -> None:
                 raise InputError(
                     f"{path}: {name} = {one:g}; that of {paths[0]} is {other:g}: must be the same"
                 )
+        if frame.settings.colours != first.settings.colours:
+            raise InputError(
+                f"{path}: wavelengths or colour filters differ from those of {paths[0]}: must be equal"
+            )
         brightest, settings = int(frame.counts.max()), frame.settings
         dark = math.sqrt(fixed_variance(frame)) / settings.gain_electrons_per_count
         if brightest < settings.offset_counts + LEAST_SIGNAL * dark:

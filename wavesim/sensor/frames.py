@@ -26,6 +26,7 @@ from lensdesign.errors import InputError
 from wavesim.fields.picture_files import COUNT_MODES, FRAME_FORMATS, PictureFile
 from wavesim.scene.settings import SettingError
 from wavesim.scene.system_state import LARGEST_NONLINEARITY
+from wavesim.sensor.colour_filters import ColourFilters
 from wavesim.sensor.pixels.maps import PixelMaps
 
 Counts = NDArray[np.uint16]
@@ -52,7 +53,7 @@ class FrameSettings(FrozenModel):
     plane_distance_mm
         Distance in mm from the exit vertex to the plane of the frame, as the stage states it.
     wavelength_um
-        Vacuum wavelength in um.
+        Vacuum wavelength in um; the first one if several are recorded at once.
     exposure
         Electrons in a pixel for an intensity of 1. For a real camera, any number proportional to the exposure
         time, in the same unit for all frames that are used together.
@@ -71,6 +72,8 @@ class FrameSettings(FrozenModel):
         proportion to the signal; positive values belong to a camera that saturates gradually.
     title
         Free text.
+    colours
+        Wavelengths that were recorded at once, and the responses of the pixels; default: one wavelength.
 
     Examples
     --------
@@ -94,6 +97,7 @@ class FrameSettings(FrozenModel):
     saturation_counts: Annotated[int, Setting(gt=0, le=65535)] | None = None
     nonlinearity: Nonlinearity = 0.0
     title: str = ""
+    colours: ColourFilters | None = None
 
     @model_validator(mode="after")
     def _within_bits(self) -> Self:
@@ -102,7 +106,21 @@ class FrameSettings(FrozenModel):
                 raise ValueError(
                     f"{name} = {getattr(self, name):g}: must be at most {self.top_counts} at {self.bits} bits"
                 )
+        if self.colours is not None and self.colours.wavelengths_um[0] != self.wavelength_um:
+            raise ValueError(
+                f"wavelength_um = {self.wavelength_um:g}: must be the first wavelength of colours, "
+                f"{self.colours.wavelengths_um[0]:g}"
+            )
         return self
+
+    @property
+    def wavelengths_um(self) -> tuple[float, ...]:
+        """All wavelengths that the frame has recorded, in um."""
+        return (self.wavelength_um,) if self.colours is None else self.colours.wavelengths_um
+
+    def key_text(self) -> str:
+        """Return the settings as JSON for digests, which are the same as before for a single wavelength."""
+        return self.model_dump_json(exclude={"colours"} if self.colours is None else None)
 
     @property
     def top_counts(self) -> int:

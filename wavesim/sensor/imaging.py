@@ -30,6 +30,7 @@ from wavesim.scene.scene import Scene, placed_light
 from wavesim.scene.settings import ImageSettings, SettingError
 from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.camera_noise import Electronics
+from wavesim.sensor.colour_filters import colour_filters
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.ghost_light import ghost_light
 from wavesim.sensor.pixels.non_uniformity import PixelErrors
@@ -45,10 +46,12 @@ from wavesim.sensor.surface_scatter import scatter_of_patch
 from wavesim.sensor.windows import (
     check_footprint,
     diversity,
+    footprint_mm,
     imaging_engine,
     light_window,
     sensor_window,
 )
+from wavesim.targets.colours import channel_of, film
 from wavesim.targets.layers import layer_stack
 from wavesim.targets.patch import Patch, Target, lit, lit_patch, make_target, transmission_of
 
@@ -89,6 +92,8 @@ class Imaged:
         Layers of an object of several, in the order in which light passes them. The transmission of `target`
         is then the field behind all layers, in the object plane, over that of the illumination in front of
         them. Empty for other objects.
+    coloured : tuple of Field
+        Transmission of the object at each wavelength that is recorded at once; empty for one wavelength.
 
     Examples
     --------
@@ -115,6 +120,7 @@ class Imaged:
     predicted_error: float
     scattered: RoughnessReport | None = None
     layers: tuple[Target, ...] = ()
+    coloured: tuple[Field, ...] = ()
 
     def __repr__(self) -> str:
         return f"Imaged({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -154,6 +160,7 @@ def image(
         Name of a built-in object ("usaf", "star", "phase", "tissue", "empty"), path of a picture, or the
         complex transmission of an object on a plane. The grid of a transmission is used as the patch. With
         `layers_um`, one of these for each layer; a single one is used on all layers.
+        With `wavelengths_um`, a sequence has the transmission at each of them.
     settings
         All settings; default: `ImageSettings()`.
     state
@@ -206,19 +213,27 @@ def image(
     true_state, planes = recording.state, recording.plane_distances_mm
     objects = _objects(object_, settings)
     patch, light = _patch_and_light(lens, objects[0], settings)
-    layers = tuple(_target(lens, patch, one, settings) for one in objects)
+    wavelengths = settings.wavelengths_um or (patch.wavelength_um,) * len(objects)
+    patches = [replace(patch, wavelength_um=one) for one in wavelengths]
+    targets = tuple(_target(lens, own, one, settings) for own, one in zip(patches, objects, strict=True))
+    layers = targets if settings.wavelengths_um is None else targets[:1]
     pixels = lens.sensor.pixels if settings.pixels == "all" else settings.pixels
-    sensor = sensor_window(lens, patch, planes, pixels, true_state)
-    check_footprint(lens, patch, sensor, planes, true_state)
+    widest = max(patches, key=lambda one: max(footprint_mm(lens, one, z, true_state) for z in planes))
+    sensor = sensor_window(lens, widest, planes, pixels, true_state)
+    check_footprint(lens, widest, sensor, planes, true_state)
     scattered = scatter_of_patch(lens, patch.grid, patch.wavelength_um, planes, true_state)
     for note in scattered.notes if scattered is not None else ():
         warnings.warn(note, RoughnessWarning, stacklevel=2)
     windows = [
-        light_window(lens, patch, sensor, plane, true_state.at_plane(index))
+        light_window(lens, widest, sensor, plane, true_state.at_plane(index))
         for index, plane in enumerate(planes)
     ]
     light = placed_light(light, true_state)
     target, behind_object = _behind_object(patch, light, layers, settings)
+    others = [
+        replace(one.transmission, values=light.values * one.transmission.values)
+        for one in targets[len(layers) :]
+    ]
     del light  # as large as the object field, which is kept
     limit = memory_limit(settings.memory_gb)
     with tiles_in(settings.cluster) as hand_over_tiles:
@@ -249,6 +264,7 @@ def image(
                 folder=folder,
                 scratch=scratch,
                 ghosts=_smooth_ghosts(lens, behind_object, sensor, recording, settings),
+                others=others,
             )
         except KeyboardInterrupt:
             saved = folder is not None and (folder / PARTS).exists()
@@ -268,11 +284,14 @@ def image(
         predicted_error=predicted_error,
         scattered=scattered,
         layers=layers if settings.layers_um is not None else (),
+        coloured=tuple(one.transmission for one in targets) if others else (),
     )
 
 
 def _objects(object_: str | Field | Sequence[str | Field], settings: ImageSettings) -> list[str | Field]:
-    """Return the object of each layer."""
+    """Return the object of each layer, or at each wavelength."""
+    if settings.wavelengths_um is not None:
+        return _coloured_objects(object_, settings)
     objects = [object_] if isinstance(object_, str | Field) else list(object_)
     count = 1 if settings.layers_um is None else len(settings.layers_um)
     if len(objects) not in (1, count):
@@ -296,6 +315,27 @@ def _behind_object(
     behind = light.with_values(stack.forward(transmissions).behind.astype(light.values.dtype))
     name = ", ".join(dict.fromkeys(layer.name for layer in layers))
     return Target(name, transmission_of(behind, light), (), layers[0].polarity), behind
+
+
+def common_pixels(lens: Lens, settings: ImageSettings, wavelengths_um: Sequence[float]) -> tuple[int, int]:
+    """Return the pixels (across, down) of a window for the light of each of several wavelengths.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    settings
+        Settings of the patch, the planes and the mounting.
+    wavelengths_um
+        Wavelengths, whose footprints differ by the dispersion of the glass.
+    """
+    planes = settings.planes_mm or lens.sensor.plane_distances_mm
+    patch, _ = lit_patch(lens, settings, wavelengths_um[0])
+    windows = [
+        sensor_window(lens, replace(patch, wavelength_um=one), planes, state=settings.pose)
+        for one in wavelengths_um
+    ]
+    return max(window.pixels for window in windows)
 
 
 def _with_ghosts(engine: Engine, settings: ImageSettings) -> Engine:
@@ -332,7 +372,38 @@ def _smooth_ghosts(
     ]
 
 
+def _coloured_objects(
+    object_: str | Field | Sequence[str | Field], settings: ImageSettings
+) -> list[str | Field]:
+    """Return the object at each of several wavelengths."""
+    assert settings.wavelengths_um is not None
+    wavelengths = settings.wavelengths_um
+    if settings.wavelength_um is not None:
+        raise SettingError("{wavelength_um}, {wavelengths_um}: give only one of them")
+    if settings.ghosts != "none" or settings.ghost:
+        raise SettingError("{ghosts}, {ghost}: cannot be used with {wavelengths_um}")
+    if settings.layers_um is not None:
+        raise SettingError("{layers_um}: cannot be used with {wavelengths_um}")
+    given = [object_] if isinstance(object_, str | Field) else list(object_)
+    if len(given) == 1 and isinstance(given[0], str):
+        return given * len(wavelengths)
+    fields = [one for one in given if isinstance(one, Field)]
+    stated = tuple(one.wavelength_um for one in fields)
+    if len(fields) < len(given) or stated != wavelengths or len({one.grid for one in fields}) != 1:
+        needed = ", ".join(f"{one:g}" for one in wavelengths)
+        raise SettingError(
+            f"{{object_}}: {len(given)} objects; must be one name, or a transmission for each wavelength "
+            f"({needed} um), in this order and on one grid"
+        )
+    return given
+
+
 def _patch_and_light(lens: Lens, object_: str | Field, settings: ImageSettings) -> tuple[Patch, Field]:
+    if isinstance(object_, str) and settings.wavelengths_um is not None:
+        # The samples of all wavelengths are those that the shortest one needs.
+        patch, light = lit_patch(lens, settings, min(settings.wavelengths_um))
+        first = settings.wavelengths_um[0]
+        return replace(patch, wavelength_um=first), replace(light, wavelength_um=first)
     if isinstance(object_, str):
         return lit_patch(lens, settings, settings.wavelength_um)
     if settings.patch_mm is not None or settings.object_pitch_um is not None:
@@ -348,7 +419,7 @@ def _patch_and_light(lens: Lens, object_: str | Field, settings: ImageSettings) 
 def _target(lens: Lens, patch: Patch, object_: str | Field, settings: ImageSettings) -> Target:
     if isinstance(object_, Field):
         return Target("transmission", object_, (), "bright")
-    return make_target(
+    target = make_target(
         patch,
         object_,
         settings.ground,
@@ -357,7 +428,12 @@ def _target(lens: Lens, patch: Patch, object_: str | Field, settings: ImageSetti
         picture_pixel_um=settings.picture_pixel_um,
         picture_width_mm=settings.picture_width_mm,
         chart_at_mm=settings.chart_at_mm,
+        channel=channel_of(patch.wavelength_um) if settings.channels else None,
     )
+    if settings.thickness_um is None:
+        return target
+    shape, thickness_um = target.transmission, settings.thickness_um
+    return replace(target, transmission=film(shape, thickness_um, settings.film_index, patch.wavelength_um))
 
 
 def _true_state(
@@ -396,6 +472,7 @@ def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | 
         given = ",".join(f"{error:g}" for error in exposure_errors)
         raise SettingError(f"{{exposure_error}} = {given!r}: must be 1 or {len(exposures)} numbers")
     true = _true_state(lens, settings, state, len(planes))
+    colours = settings.wavelengths_um
     pixels = PixelErrors(
         settings.prnu,
         settings.dsnu_electrons,
@@ -421,4 +498,5 @@ def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | 
         true,
         pixels,
         exposure_errors * len(exposures) if len(exposure_errors) == 1 else exposure_errors,
+        None if colours is None else colour_filters(settings.colour_filters, colours),
     )

@@ -33,6 +33,7 @@ from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.source import SourceMode, with_components
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
 from wavesim.sensor.camera_noise import Electronics, Seed, plane_seeds
+from wavesim.sensor.colour_filters import ColourFilters
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.incoherent import added_modes, of_mode
 from wavesim.sensor.pixel_integration import PixelLight
@@ -85,6 +86,8 @@ class Recording:
         Non-uniformity of the pixels.
     exposure_errors : tuple of float
         Relative errors (true over stated exposure, minus 1) of each exposure; default: no errors.
+    colours : ColourFilters or None
+        Wavelengths that are recorded at once, and the responses of the pixels; None for one wavelength.
     """
 
     plane_distances_mm: tuple[float, ...]
@@ -95,6 +98,7 @@ class Recording:
     state: SystemState = AS_DESIGNED
     pixel_errors: PixelErrors = ALIKE
     exposure_errors: tuple[float, ...] = ()
+    colours: ColourFilters | None = None
 
 
 def image_patch(
@@ -109,6 +113,7 @@ def image_patch(
     folder: Path | None = None,
     scratch: Scratch | None = None,
     ghosts: Sequence[Array] = (),
+    others: Sequence[Field] = (),
 ) -> tuple[tuple[Frame, ...], float]:
     """Propagate the light behind the object to the sensor, and record frames on every plane.
 
@@ -138,6 +143,8 @@ def image_patch(
     ghosts
         Smooth light of ghosts on the pixels of each plane, as fractions of the direct light
         (:func:`wavesim.sensor.ghost_light.ghost_light`); default: none.
+    others
+        Fields behind the object at the further wavelengths of `recording.colours`, in their order.
 
     Returns
     -------
@@ -162,41 +169,57 @@ def image_patch(
         )
     report_progress = progress or (lambda stage, completed, total: None)
 
-    def light_of_mode(mode: SourceMode, prefix: str) -> Iterator[tuple[Array, float]]:
-        mode_engine, lit = of_mode(engine, behind_object, mode, make)
-        if not isinstance(mode_engine, Tiled):
-            return _light_through_free_space(mode_engine, lit, sensor, windows, recording, report_progress)
-        assert make is not None
-        mode_folder = None if folder is None else folder / PARTS / prefix
-        return _light_of_tiles(
-            mode_engine,
-            lit,
-            sensor,
-            windows,
-            recording,
-            make,
-            report_progress,
-            folder=mode_folder,
-            scratch=scratch,
-        )
+    def light_of(lit: Field, prefix: str) -> Iterator[tuple[Array, float]]:
+        """Yield one wavelength's light on the pixels of each plane, and its fraction beyond the limit."""
+        own = engine
+        if lit.wavelength_um != behind_object.wavelength_um:
+            if make is None:
+                raise InputError(
+                    "make: missing; light of several wavelengths needs a function that makes an engine for "
+                    "each"
+                )
+            own = make(replace(engine.scene, wavelength_um=lit.wavelength_um))
 
-    modes = modes_of(engine, recording, behind_object.grid)
-    light = light_of_mode(modes[0], "") if len(modes) == 1 else added_modes(modes, light_of_mode)
+        def light_of_mode(mode: SourceMode, of_mode_prefix: str) -> Iterator[tuple[Array, float]]:
+            mode_engine, lit_by_mode = of_mode(own, lit, mode, make)
+            if not isinstance(mode_engine, Tiled):
+                return _light_through_free_space(
+                    mode_engine, lit_by_mode, sensor, windows, recording, report_progress
+                )
+            assert make is not None
+            mode_folder = None if folder is None else folder / PARTS / prefix / of_mode_prefix
+            return _light_of_tiles(
+                mode_engine,
+                lit_by_mode,
+                sensor,
+                windows,
+                recording,
+                make,
+                report_progress,
+                folder=mode_folder,
+                scratch=scratch,
+            )
+
+        modes = modes_of(own, recording, lit.grid)
+        direct = light_of_mode(modes[0], "") if len(modes) == 1 else added_modes(modes, light_of_mode)
+        scatter = scatter_of_patch(
+            engine.scene.lens, lit.grid, lit.wavelength_um, recording.plane_distances_mm, recording.state
+        )
+        for index, (light, beyond) in enumerate(direct):
+            total = with_scattered_light(light, sensor.pixel_pitch_um, halos_on_plane(scatter, index))
+            if ghosts:
+                total = total + (float(light.sum()) * ghosts[index]).astype(light.dtype)
+            yield total, beyond
+
+    light: Iterator[tuple[Array, float]] = light_of(behind_object, "")
+    if recording.colours is not None:
+        lights = [light, *(light_of(lit, f"{lit.wavelength_um:g}_um") for lit in others)]
+        light = _sums_of_colours(lights, recording.colours, sensor.pixels[::-1])
     frames, fraction_beyond = list[Frame](), 0.0
     seeds = plane_seeds(recording.seed, len(windows))
     pattern = recording.pixel_errors.pattern(sensor.pixels[::-1], recording.electronics.full_well_electrons)
-    scatter = scatter_of_patch(
-        engine.scene.lens,
-        behind_object.grid,
-        behind_object.wavelength_um,
-        recording.plane_distances_mm,
-        recording.state,
-    )
-    for index, (seed, (direct, beyond)) in enumerate(zip(seeds, light, strict=True)):
+    for index, (seed, (intensity, beyond)) in enumerate(zip(seeds, light, strict=True)):
         fraction_beyond = beyond if index == 0 else fraction_beyond
-        intensity = with_scattered_light(direct, sensor.pixel_pitch_um, halos_on_plane(scatter, index))
-        if ghosts:
-            intensity = intensity + (float(direct.sum()) * ghosts[index]).astype(direct.dtype)
         frames += frames_of_light(
             _with_background(intensity, recording.state.background_on(index, intensity.shape)),
             sensor,
@@ -208,8 +231,22 @@ def image_patch(
             recording.peak_fill,
             pattern=pattern,
             exposure_errors=_exposure_errors(recording, index),
+            colours=recording.colours,
         )
     return tuple(frames), fraction_beyond
+
+
+def _sums_of_colours(
+    lights: Sequence[Iterator[tuple[Array, float]]], colours: ColourFilters, shape: tuple[int, int]
+) -> Iterator[tuple[Array, float]]:
+    """Yield, for each plane, the light of all wavelengths that pixels measure behind their filters."""
+    responses = colours.on_pixels(shape)
+    for of_wavelengths in zip(*lights, strict=True):
+        pairs = list(zip(of_wavelengths, responses, strict=True))
+        measured = [(response * light).astype(light.dtype) for (light, _), response in pairs]
+        energies = [float(light.sum()) for light in measured]
+        beyond = sum(energy * one for energy, ((_, one), _) in zip(energies, pairs, strict=True))
+        yield sum(measured[1:], start=measured[0]), beyond / sum(energies)
 
 
 def modes_of(engine: Engine, recording: Recording, object_grid: Grid) -> list[SourceMode]:

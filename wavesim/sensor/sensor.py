@@ -28,6 +28,7 @@ from wavesim.sensor.camera_noise import (
     exposure_for,
     exposure_seeds,
 )
+from wavesim.sensor.colour_filters import ColourFilters
 from wavesim.sensor.frames import Frame, FrameSettings
 from wavesim.sensor.pixel_integration import PixelLight
 from wavesim.sensor.pixels.non_uniformity import PixelPattern
@@ -256,6 +257,7 @@ def frames_of_light(
     *,
     pattern: PixelPattern | None = None,
     exposure_errors: Sequence[float] = (),
+    colours: ColourFilters | None = None,
 ) -> tuple[Frame, ...]:
     """Return the frames that a sensor records of one intensity with several exposures.
 
@@ -273,6 +275,8 @@ def frames_of_light(
         Gain and dark signal of each pixel; default: identical pixels.
     exposure_errors
         Relative errors (true over stated exposure, minus 1); default: no errors.
+    colours
+        Wavelengths of the light and the responses of the pixels, which the frames state.
 
     Raises
     ------
@@ -291,7 +295,7 @@ def frames_of_light(
     errors = exposure_errors or [0.0] * len(times)
     for time, error, frame_seed in zip(times, errors, exposure_seeds(seed, len(times)), strict=True):
         exposure = time * unit_exposure
-        settings = _settings(sensor, plane_distance_mm, wavelength_um, electronics, exposure)
+        settings = _settings(sensor, plane_distance_mm, wavelength_um, electronics, exposure, colours=colours)
         with warnings.catch_warnings():
             if time > 1.0:
                 warnings.simplefilter("ignore", SaturationWarning)
@@ -307,6 +311,7 @@ def _settings(
     electronics: Electronics,
     exposure: float,
     title: str = "",
+    colours: ColourFilters | None = None,
 ) -> FrameSettings:
     try:
         return FrameSettings(
@@ -320,6 +325,7 @@ def _settings(
             read_noise_electrons=electronics.read_noise_electrons,
             saturation_counts=electronics.saturation_counts,
             title=title,
+            colours=colours,
         )
     except ValidationError as error:
         faults = "; ".join(f"{'.'.join(map(str, f['loc']))}: {f['msg']}" for f in error.errors())

@@ -243,6 +243,7 @@ def make_target(
     picture_pixel_um: float | None = None,
     picture_width_mm: float | None = None,
     chart_at_mm: Sequence[tuple[float, float]] = (),
+    channel: int | None = None,
 ) -> Target:
     """Return an object on a patch: a chart, a star, a phase target, tissue, a picture, or an empty field.
 
@@ -266,6 +267,8 @@ def make_target(
         error.
     chart_at_mm
         Centres (x, y) of additional charts with the fine groups of the USAF chart.
+    channel
+        Index of the channel of a colour picture (red, green, blue); default: its luma.
 
     Returns
     -------
@@ -301,7 +304,7 @@ def make_target(
         rows, columns = read_grey(name).shape
         pixel_um = picture_pixel((rows, columns), stop_mm, picture_pixel_um, picture_width_mm)
         finer: Literal["refuse", "average"] = "average" if picture_pixel_um is None else "refuse"
-        values = picture_target(name, wider.grid, pixel_um, finer=finer)[cut]
+        values = picture_target(name, wider.grid, pixel_um, finer=finer, channel=channel)[cut]
     transmission = Field(grid, np.asarray(values, np.complex64), patch.wavelength_um)
     return Target(name, transmission, elements, polarity)
 
@@ -400,6 +403,41 @@ def make_illumination(
     stop = field_stop(grid, "disc", patch.field_stop_mm, at_mm=patch.field_stop_at_mm)
     light.values[...] *= stop.astype(np.float32)
     return light
+
+
+def object_file(wavelength_um: float) -> str:
+    """Return the name of the file with an object's transmission at one of several wavelengths."""
+    return f"object_{wavelength_um:g}_um.npz"
+
+
+def read_coloured_object(folder: Path, patch: Patch, wavelengths_um: Sequence[float]) -> tuple[Field, ...]:
+    """Read the transmission of an object at several wavelengths, from a folder written by `wavesim image`.
+
+    Parameters
+    ----------
+    folder
+        Folder of frames at several wavelengths at once, or with a subfolder for each wavelength.
+    patch
+        Patch of the object plane.
+    wavelengths_um
+        Wavelengths.
+
+    Raises
+    ------
+    InputError
+        If the folder lacks a wavelength, or a file is invalid (:func:`read_object`).
+    """
+    found = []
+    for wavelength in wavelengths_um:
+        places = folder / object_file(wavelength), folder / f"{wavelength:g}_um" / OBJECT_FILE
+        place = next((one for one in places if one.exists()), None)
+        if place is None:
+            raise InputError(
+                f"{folder}: has no object at {wavelength:g} um: must contain {places[0].name}, or "
+                f"{places[1].parent.name}/{OBJECT_FILE}"
+            )
+        found.append(read_object(place, replace(patch, wavelength_um=wavelength)))
+    return tuple(found)
 
 
 def read_object(path: Path, patch: Patch) -> Field:

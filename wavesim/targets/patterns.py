@@ -245,6 +245,7 @@ def picture_target(
     quantity: Literal["intensity", "amplitude", "phase"] = "intensity",
     phase_rad: float = math.pi,
     finer: Literal["refuse", "average"] = "refuse",
+    channel: int | None = None,
 ) -> ComplexArray:
     """Return the transmission of a picture at the grid's centre, with its pixels integrated over the cells.
 
@@ -264,6 +265,8 @@ def picture_target(
         Phase of full scale (rad), for ``quantity="phase"``.
     finer
         Treatment of pixels that are finer than the pitch: "refuse" raises an error, "average" loses detail.
+    channel
+        Index of a channel of a colour picture (red, green, blue); default: its luma.
 
     Returns
     -------
@@ -283,7 +286,7 @@ def picture_target(
     validate_choice("finer", finer, ("refuse", "average"))
     if not math.isfinite(phase_rad):
         raise InputError(f"phase_rad = {phase_rad!r}: must be finite")
-    grey = read_grey(path)
+    grey = read_grey(path, channel)
     pixel = 1e-3 * pixel_um
     rows, columns = grey.shape
     if finer == "refuse" and pixel < grid.pitch_mm * ROUNDING:
@@ -338,12 +341,19 @@ def picture_pixel(
     return given * um
 
 
-def read_grey(path: str | os.PathLike[str]) -> Array:
+def read_grey(path: str | os.PathLike[str], channel: int | None = None) -> Array:
     """Return grey values of a picture as fractions of full scale (0 is black), shape (rows, columns).
 
     A single channel of 8 or 16 bits is used unchanged. Colours, palettes and black-and-white pictures are
     converted to luma (ITU-R BT.601, 8 bits). The picture is rotated by the orientation in its file, and
     inverted if the file states that white is zero.
+
+    Parameters
+    ----------
+    path
+        The file.
+    channel
+        Index of a channel (red, green, blue) that is read instead of the luma of colours.
 
     Raises
     ------
@@ -351,7 +361,7 @@ def read_grey(path: str | os.PathLike[str]) -> Array:
         If the file cannot be read, or does not hold a single opaque picture of these kinds.
     """
     file = Path(path)
-    picture = PictureFile(file, "the picture").single_picture()
+    picture = PictureFile(file, "the picture").single_picture(channel)
     # Modes of Pillow for pictures that are converted to luma.
     luma_modes = ("1", "LA", "P", "RGB", "RGBA")
     if picture.mode not in (*COUNT_MODES, *luma_modes) or not picture.is_opaque:
