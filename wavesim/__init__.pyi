@@ -11,6 +11,7 @@ from .pupil.characteristic import PupilSampler
 from .pupil.line_pairs import line_pair_contrast
 from .pupil.patch_reconstructor import PatchReconstructor
 from .pupil.pupil import ReconstructionPupil, mtf, psf, refocus, rms_waves, strehl
+from .reconstruction.colours import FoundColours, reconstruct_colours
 from .reconstruction.found_object import FoundObject
 from .reconstruction.frame_reconstruction import reconstruct_frames
 from .reconstruction.layer_reconstruction import FoundLayers, reconstruct_layers
@@ -24,7 +25,7 @@ from .scene.settings import ImageSettings, ReconstructionSettings
 from .scene.state_files import read_state, write_state
 from .scene.system_state import SystemState
 from .sensor.camera_noise import Electronics
-from .sensor.frame_sets import read_frames
+from .sensor.frame_sets import read_colour_frames, read_frames
 from .sensor.frames import Frame, FrameSettings, write_frame
 from .sensor.imaging import Imaged, image
 from .sensor.measurement import Measurement
@@ -35,6 +36,7 @@ __all__ = [
     "Electronics",
     "Engine",
     "Field",
+    "FoundColours",
     "FoundLayers",
     "FoundObject",
     "Frame",
@@ -59,9 +61,11 @@ __all__ = [
     "patch_scene",
     "propagate",
     "psf",
+    "read_colour_frames",
     "read_frames",
     "read_state",
     "reconstruct",
+    "reconstruct_colours",
     "reconstruct_frames",
     "reconstruct_layers",
     "refocus",

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
+from wavesim.forward.colour_model import ColourModel
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.stop_rule import AT_NOISE, FAR, STOPPED, Stop, stop_reason
@@ -288,7 +289,7 @@ def reconstruct(
         rows,
     )
     weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
-    descent = _ProximalDescent(
+    descent = ProximalDescent(
         model,
         weight,
         noise,
@@ -328,10 +329,10 @@ def _initial_state(model: ForwardModel, start: Any, kind: Kind, scratch: Scratch
 
 
 @dataclass(frozen=True, eq=False)
-class _ProximalDescent:
-    """Accelerated proximal gradient steps."""
+class ProximalDescent:
+    """Accelerated proximal gradient steps; `prox` maps a point and a weight of the total variation."""
 
-    model: ForwardModel
+    model: ForwardModel | ColourModel
     tv_weight: float
     noise_at_scale_1: float | None
     misfit_of_noise: float | None
@@ -342,6 +343,7 @@ class _ProximalDescent:
     scratch: Scratch
     inner_iterations: int
     bounded: bool
+    prox: Callable[[Array, float], Array] = prox_tv
 
     def run(self, state: SolverState, stages: Sequence[tuple[Kind, int]]) -> SolverState:
         """Return the state after all stages (kind of object, and iteration at which the stage ends)."""
@@ -374,7 +376,7 @@ class _ProximalDescent:
         is_far = self._is_far(state)
         point, misfit = self._gradient_step(state.ahead, kind, self.inner_iterations if is_far else 1)
         weight = state.tv_factor * self._tv_weight(misfit)
-        point = prox_tv(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * weight)
+        point = self.prox(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * weight)
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
         dtype = self.model.real if kind == "amplitude" else self.model.dtype

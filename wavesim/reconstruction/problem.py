@@ -457,6 +457,12 @@ def patch_of_frames(
     """
     if not frames:
         raise InputError("frames: needs at least one frame")
+    for frame in frames:
+        if frame.settings.colours is not None:
+            several = ", ".join(f"{one:g}" for one in frame.settings.wavelengths_um)
+            raise InputError(
+                f"frames: {several} um were recorded at once: must be one wavelength; use `wavesim colours`"
+            )
     validate_same_pitch(frames, lens)
     by_plane = frames_by_plane(frames)
     patch, light = lit_patch(lens, settings, frames[0].settings.wavelength_um)
@@ -488,9 +494,7 @@ def validate_frames(lens: Lens, frames: Sequence[Frame], settings: FrozenModel) 
 
 def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *settings_json: str | bytes) -> str:
     """Return a digest of all inputs of a result, under which parts of a run are saved."""
-    pictures = [
-        part for frame in frames for part in (digest_of(frame.counts), frame.settings.model_dump_json())
-    ]
+    pictures = [part for frame in frames for part in (digest_of(frame.counts), frame.settings.key_text())]
     maps = [
         digest_of(pattern)
         for frame in frames

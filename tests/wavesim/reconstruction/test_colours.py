@@ -1,0 +1,168 @@
+"""Objects at several wavelengths from frames, in turn, at once and behind a mosaic; and heights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from wavesim.fields.field import Field
+from wavesim.reconstruction.colours import FilmProjection, FoundColours, reconstruct_colours
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.reconstruction.heights import wave_numbers
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.imaging import Imaged, image
+from wavesim.targets.colours import film
+from wavesim.targets.patch import make_target, object_patch
+
+LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+PAIR, PATCH_MM = (0.532, 0.635), 0.02
+TAKEN: dict[str, Any] = {
+    "engine": "eikonal",
+    "error": 0.02,
+    "exposures": (1.0, 30.0, 1000.0),
+    "field_stop_mm": PATCH_MM,
+    "planes_mm": (0.03, 0.13, 0.23),
+}
+FOUND: dict[str, Any] = {"engine": "eikonal", "error": 0.05, "patch_mm": PATCH_MM}
+PATCH = object_patch(LENS, PATCH_MM, wavelength_um=min(PAIR))
+
+
+def objects() -> list[Field]:
+    """Tissue, another one at each wavelength."""
+    made = [make_target(PATCH, "tissue", numerical_aperture=0.5, seed=n).transmission for n in (1, 2)]
+    return [
+        Field(PATCH.grid, np.abs(one.values).astype(np.complex64), wavelength)
+        for one, wavelength in zip(made, PAIR, strict=True)
+    ]
+
+
+def taken_at_once(filters: str) -> Imaged:
+    return image(LENS, objects(), wavelengths_um=PAIR, colour_filters=filters, **TAKEN)
+
+
+def correlations(found: FoundColours) -> list[float]:
+    return [one["object_correlation"] or 0.0 for one in found.truth]
+
+
+@pytest.mark.parametrize("filters", ["monochrome", "bayer"])
+def test_two_objects_are_told_apart_by_their_wavelengths(filters: str) -> None:
+    taken = taken_at_once(filters)
+    assert taken.frames[0].settings.wavelengths_um == PAIR
+    found = reconstruct_colours(
+        LENS, taken.frames, kind="amplitude", iterations=60, truth=taken.coloured, **FOUND
+    )
+    assert min(correlations(found)) > 0.95
+    assert found.oversampling.ratio > 1.0
+    assert found.planes[0].wavelengths_um == PAIR
+    assert found.planes[0].is_mosaic == (filters == "bayer")
+    one, other = (np.abs(field.values) for field in found.transmissions)
+    inside = found.patch.inside
+    exchanged = np.corrcoef(one[inside], np.abs(taken.coloured[1].values)[inside])[0, 1]
+    assert abs(exchanged) < 0.4
+    summary = found.as_dict()
+    assert summary["explained"] == found.explained
+    assert len(summary["planes"]) == 3
+    assert "correlation at 0.635" in repr(found)
+    assert "<table>" in found._repr_html_()
+    assert np.isfinite(other).all()
+
+
+def test_wavelengths_in_turn_are_found_as_each_alone() -> None:
+    frames = list[Frame]()
+    for index, one in enumerate(objects()):
+        frames += image(LENS, one, seed=index, pixels=104, **TAKEN).frames
+    found = reconstruct_colours(
+        LENS, frames, kind="amplitude", iterations=30, scale=1.0, truth=objects(), **FOUND
+    )
+    assert min(correlations(found)) > 0.97
+    assert [plane.wavelengths_um for plane in found.planes] == [(0.532,)] * 3 + [(0.635,)] * 3
+    pitch_um = 1e3 * PATCH.grid.pitch_mm
+    alone = reconstruct_frames(
+        LENS,
+        [frame for frame in frames if frame.settings.wavelength_um == PAIR[1]],
+        kind="amplitude",
+        iterations=30,
+        scale=1.0,
+        object_pitch_um=pitch_um,
+        **FOUND,
+    )
+    inside = found.patch.inside
+    pair = [np.abs(one.values)[inside] for one in (found.transmissions[1], alone.transmission)]
+    assert np.corrcoef(*pair)[0, 1] > 0.99
+
+
+def step_frames(height_um: float) -> list[Frame]:
+    """Frames of a film with one step, at one wavelength after the other."""
+    x, y = PATCH.grid.x_mm[None, :], PATCH.grid.y_mm[:, None]
+    shape = Field(PATCH.grid, ((abs(x - 0.002) < 0.003) & (abs(y) < 0.004)).astype(float), PAIR[0])
+    frames = list[Frame]()
+    for index, wavelength in enumerate(PAIR):
+        object_ = film(shape, height_um, 1.5, wavelength)
+        frames += image(LENS, object_, seed=index, pixels=104, **TAKEN).frames
+    return frames
+
+
+@pytest.mark.parametrize(("kind", "height_um"), [("complex", 0.3), ("thickness", 2.3)])
+def test_a_step_is_measured_with_its_deviation(kind: str, height_um: float) -> None:
+    """One step of a part of a wave, and one of more than two waves."""
+    found = reconstruct_colours(
+        LENS,
+        step_frames(height_um),
+        kind=kind,
+        film_index=1.5,
+        heights_um=(-1.0, 3.0),
+        repeats=4,
+        iterations=60,
+        **FOUND,
+    )
+    assert found.heights is not None
+    step = found.height_between((0.002, 0.0, 0.004, 0.006), (-0.005, 0.0, 0.004, 0.006))
+    assert step.height_um == pytest.approx(height_um, abs=0.005)
+    assert 1e-5 < step.deviation_um < 0.01
+    assert abs(step.height_um - height_um) < 4.0 * step.deviation_um
+    assert not step.ambiguous
+    summary = found.as_dict()["heights"]
+    assert summary["ambiguous_fraction"] < 0.1
+    assert summary["repeats"] == 4
+    with pytest.raises(InputError, match="contains no samples"):
+        found.height_between((1.0, 0.0, 0.001, 0.001), (0.0, 0.0, 0.001, 0.001))
+
+
+def test_a_film_is_projected_on_itself() -> None:
+    rng = np.random.default_rng(0)
+    height, amplitude = rng.uniform(0.0, 2.0, (6, 6)), rng.uniform(0.5, 1.0, (6, 6))
+    numbers = wave_numbers(PAIR, 1.5)
+    values = amplitude * np.exp(1j * numbers[:, None, None] * height)
+    project = FilmProjection(numbers, height + rng.uniform(-0.1, 0.1, (6, 6)))
+    assert project(values) == pytest.approx(values)
+    assert project.height_um == pytest.approx(height)
+
+
+def test_wrong_frames_and_settings_are_named() -> None:
+    frames = taken_at_once("monochrome").frames[:1]
+    (frame,) = frames
+    one_colour = Frame(frame.counts, frame.settings.replaced(colours=None))
+    smaller = Frame(frame.counts[:-2], frame.settings)
+    for given, changes, message in (
+        ([], {}, "needs at least one frame"),
+        ([one_colour], {}, "two or more wavelengths"),
+        ([frame, smaller], {}, "the same size"),
+        (frames, {"kind": "thickness"}, "kind thickness: requires film_index"),
+        (frames, {"kind": "amplitude", "film_index": 1.5}, "cannot be used with kind amplitude"),
+        (frames, {"ground_mm": (0.0, 0.0, 1.0, 1.0)}, "ground_mm: requires film_index"),
+        (frames, {"heights_um": (0.0, 1.0)}, "heights_um: requires film_index"),
+        (frames, {"film_index": 1.5, "heights_um": (1.0, 0.0)}, "two increasing numbers"),
+        (frames, {"tv_weight": -1.0}, "not negative"),
+    ):
+        with pytest.raises(InputError, match=message):
+            reconstruct_colours(LENS, given, **FOUND, **changes)
+    with pytest.raises(InputError, match=r"0\.532, 0\.635 um were recorded at once"):
+        reconstruct_frames(LENS, frames, **FOUND)
+    truth = [replace(one, wavelength_um=0.5) for one in objects()]
+    with pytest.raises(InputError, match=r"needs the object at 0\.532 um"):
+        reconstruct_colours(LENS, frames, kind="amplitude", iterations=1, scale=1.0, truth=truth, **FOUND)

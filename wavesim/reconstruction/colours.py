@@ -1,0 +1,760 @@
+"""Reconstruction from frames of several wavelengths: the object at each of them, or a film that all share.
+
+Frames may be recorded one wavelength after the other, at once on a monochrome sensor, or at once through a
+colour filter array. All wavelengths are found together (:mod:`wavesim.forward.colour_model`), by the solver
+of one wavelength (:mod:`wavesim.reconstruction.object_solver`). The mosaic of a filter array is used as it
+is.
+
+A thickness that all wavelengths share is found in two stages. The first one finds the object at each
+wavelength, whose phases determine heights (:mod:`wavesim.reconstruction.heights`). The second one projects
+every iterate on films a exp(i k h), with the amplitude a and the height h of each sample.
+
+Standard deviations of heights follow from repeats: the frames are modelled from the result, get other noise,
+and are reconstructed again from the result. The ratio of the misfit to that of noise, where it is above 1,
+multiplies the deviations: residuals that noise does not explain count as more noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from lensdesign.analysis.oversampling import ObjectKind, Oversampling, oversampling_of
+from lensdesign.common.arrays import Array
+from lensdesign.common.notebook import html_table
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from wavesim.fields.field import Field
+from wavesim.forward.colour_model import ColourModel, Response
+from wavesim.metrics.result_quality import plane_metrics, truth_metrics
+from wavesim.reconstruction.heights import (
+    Heights,
+    StepHeight,
+    common_phases,
+    heights_from_phases,
+    wave_numbers,
+    wrapped,
+)
+from wavesim.reconstruction.object_solver import (
+    AMPLITUDE_START,
+    TV_PER_NOISE,
+    ProximalDescent,
+    SolverState,
+)
+from wavesim.reconstruction.problem import validate_frames
+from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop
+from wavesim.reconstruction.total_variation import prox_tv
+from wavesim.runtime.scratch import Scratch
+from wavesim.scene.scattered_light import Light
+from wavesim.scene.settings import ColourSettings, Kind, SettingError
+from wavesim.sensor.frame_sets import recorded_planes, validate_same_pitch
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.measurement import (
+    Measurement,
+    intensity_deviation,
+    noise_misfit,
+    recorded_intensity,
+)
+from wavesim.sensor.recording import Progress
+from wavesim.sensor.windows import check_footprint, exit_scene, imaging_engine
+from wavesim.targets.patch import Patch, lit, object_patch, read_coloured_object
+
+Transmissions = NDArray[np.complexfloating[Any, Any]]
+Prox = Callable[[NDArray[Any], float], NDArray[Any]]
+
+EXPLAINED = 1.5
+"""Misfit over that of noise alone up to which the frames count as explained."""
+
+
+class ColourPlane(NamedTuple):
+    """What is known of a plane: its frames' settings, and how its pixels respond.
+
+    Attributes
+    ----------
+    distance_mm : float
+        Distance from the exit vertex.
+    wavelengths_um : tuple of float
+        Wavelengths that were recorded at once.
+    is_mosaic : bool
+        Whether the responses differ from pixel to pixel.
+    """
+
+    distance_mm: float
+    wavelengths_um: tuple[float, ...]
+    is_mosaic: bool
+
+
+@dataclass(frozen=True, eq=False)
+class FoundColours:
+    """An object at several wavelengths, found from frames, with its assessment.
+
+    Attributes
+    ----------
+    settings : ColourSettings
+        Settings of the reconstruction.
+    patch : Patch
+        Samples of the object, and its field stop.
+    wavelengths_um : tuple of float
+        Wavelengths, increasing.
+    transmissions : tuple of Field
+        Transmission at each wavelength. Its phase is relative to the ground if heights were sought.
+    planes : tuple of ColourPlane
+        Recorded planes. A plane of several wavelengths one after the other counts once for each.
+    recorded, residual_maps : tuple
+        Measured amplitudes, and modelled less measured ones, of each plane.
+    misfit : tuple of float
+        Relative misfit of each iteration.
+    over_noise : float
+        Last misfit over the misfit of noise alone.
+    stopped_because : {"noise", "converged", "iterations"}
+        Reason for the end of the iterations.
+    scale : float
+        Measured amplitude per unit of the modelled amplitude.
+    oversampling : Oversampling
+        Real measurements for each real unknown.
+    truth : tuple of dict
+        For each wavelength, the comparison with the true object; empty without one.
+    heights : Heights or None
+        Height of a film with its deviation, for each sample.
+    """
+
+    settings: ColourSettings
+    patch: Patch
+    wavelengths_um: tuple[float, ...]
+    transmissions: tuple[Field, ...]
+    planes: tuple[ColourPlane, ...]
+    recorded: tuple[Measurement, ...]
+    residual_maps: tuple[Array, ...]
+    misfit: tuple[float, ...]
+    over_noise: float
+    stopped_because: Stop
+    scale: float
+    oversampling: Oversampling
+    truth: tuple[dict[str, float | None], ...] = ()
+    heights: Heights | None = None
+    repeats: tuple[Transmissions, ...] = field(default=(), repr=False)
+
+    @property
+    def _excess(self) -> float:
+        """Factor of the deviations by noise: residuals beyond the noise count as more noise."""
+        return max(self.over_noise, 1.0)
+
+    @property
+    def explained(self) -> bool:
+        """Whether noise explains the residuals."""
+        return self.over_noise <= EXPLAINED
+
+    def height_between(
+        self, region_mm: tuple[float, float, float, float], ground_mm: tuple[float, float, float, float]
+    ) -> StepHeight:
+        """Return the height of a region above another one, with its standard deviation.
+
+        The phases of a region are those of its mean transmission; their deviations are those of the repeats.
+
+        Parameters
+        ----------
+        region_mm, ground_mm
+            Regions (x, y, width, height) about their centres x, y.
+
+        Raises
+        ------
+        InputError
+            If heights were not sought, or a region does not lie on the samples.
+        """
+        if self.heights is None or self.settings.film_index is None:
+            raise InputError("height_between: needs a reconstruction with film_index")
+        masks = [self._region(one) for one in (region_mm, ground_mm)]
+
+        def step(values: Transmissions) -> Array:
+            of_region, of_ground = (values[:, mask].sum(axis=1) for mask in masks)
+            return np.angle(of_region * of_ground.conj())
+
+        phases = step(np.stack([one.values for one in self.transmissions]))
+        differences = np.array([wrapped(step(one) - phases) for one in self.repeats])
+        deviations = self._excess * np.sqrt(np.mean(differences**2, axis=0))
+        found = heights_from_phases(
+            phases[:, None],
+            np.maximum(deviations, 1e-9)[:, None],
+            self.wavelengths_um,
+            self.settings.film_index,
+            self.settings.heights_um,
+        )
+        # Errors of the wavelengths may be correlated: the deviation is that of the repeats' heights.
+        numbers = wave_numbers(self.wavelengths_um, self.settings.film_index)
+        precision = numbers / np.maximum(deviations, 1e-9) ** 2
+        of_repeats = differences @ precision / float(precision @ numbers)
+        deviation_um = self._excess * math.sqrt(float(np.mean(of_repeats**2)))
+        return StepHeight(float(found.height_um[0]), deviation_um, bool(found.ambiguous[0]))
+
+    def _region(self, region_mm: tuple[float, float, float, float]) -> NDArray[np.bool_]:
+        """Return the samples of a region."""
+        return _samples_of(self.patch, region_mm, "region_mm")
+
+    def __repr__(self) -> str:
+        return f"FoundColours({', '.join(f'{name} {value}' for name, value in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Object at several wavelengths", self._rows())
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [
+            ("wavelengths", ", ".join(f"{one:g}" for one in self.wavelengths_um) + " µm"),
+            ("planes", str(len(self.planes))),
+            ("iterations", f"{len(self.misfit)}{STOPPED[self.stopped_because]}"),
+            ("misfit over noise", f"{self.over_noise:.3g}"),
+            ("measurements for each unknown", f"{self.oversampling.ratio:.3g}"),
+        ]
+        for wavelength, truth in zip(self.wavelengths_um, self.truth, strict=bool(self.truth)):
+            rows.append((f"correlation at {wavelength:g} µm", f"{truth['object_correlation']:.4g}"))
+        return rows
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the results as plain values for JSON."""
+        inside = self.patch.inside
+        heights = None
+        if self.heights is not None:
+            heights = {
+                "film_index": self.settings.film_index,
+                "median_um": float(np.median(self.heights.height_um[inside])),
+                "median_deviation_um": float(np.median(self.heights.deviation_um[inside])),
+                "ambiguous_fraction": float(np.mean(self.heights.ambiguous[inside])),
+                "repeats": len(self.repeats),
+            }
+        return {
+            "kind": self.settings.kind,
+            "wavelengths_um": list(self.wavelengths_um),
+            "iterations": len(self.misfit),
+            "stopped_because": self.stopped_because,
+            "misfit": self.misfit[-1],
+            "over_noise": self.over_noise,
+            "explained": self.explained,
+            "scale": self.scale,
+            "measurements_per_unknown": self.oversampling.ratio,
+            "planes": [
+                {
+                    "plane_distance_mm": plane.distance_mm,
+                    "wavelengths_um": list(plane.wavelengths_um),
+                    "mosaic": plane.is_mosaic,
+                    **plane_metrics(recorded.amplitude, recorded.sigma, error),
+                }
+                for plane, recorded, error in zip(self.planes, self.recorded, self.residual_maps, strict=True)
+            ],
+            "truth": [dict(one) for one in self.truth],
+            "heights": heights,
+        }
+
+
+def reconstruct_colours(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: ColourSettings | None = None,
+    *,
+    truth: Sequence[Field] | Path | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> FoundColours:
+    """Reconstruct an object from frames of several wavelengths, all in one search.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    frames
+        Frames of one or more planes, from :func:`wavesim.image` or :func:`wavesim.read_colour_frames`. They
+        state their wavelengths, and how the pixels respond to those recorded at once.
+    settings
+        All settings; default: `ColourSettings()`.
+    truth
+        True transmission at each wavelength, in any order, on the patch's samples; or the folder of
+        `wavesim image` with them.
+    progress
+        Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
+    **changes
+        Settings by name, which replace those of `settings`.
+
+    Returns
+    -------
+    FoundColours
+        Transmission at each wavelength, residuals, and heights of a film if its index was given.
+
+    Raises
+    ------
+    InputError, SamplingError
+        If frames or settings are invalid, or the frames have a single wavelength.
+
+    Examples
+    --------
+    A star at two wavelengths, from three planes of a monochrome sensor:
+
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image, reconstruct_colours
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> patch = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    >>> light = {"wavelengths_um": (0.532, 0.635), "exposures": (1.0, 30.0)}
+    >>> taken = image(lens, "star", planes_mm=(0.03, 0.15, 0.3), **light, **patch)
+    >>> found = reconstruct_colours(lens, taken.frames, kind="amplitude", truth=taken.coloured, **patch)
+    >>> min(one["object_correlation"] for one in found.truth) > 0.95
+    True
+    """
+    settings = (settings or ColourSettings()).replaced(**changes)
+    if settings.kind == "thickness" and settings.film_index is None:
+        raise SettingError("{kind} thickness: requires {film_index}")
+    validate_frames(lens, frames, settings)
+    case = _problem(lens, frames, settings)
+    search = _Search(case, settings, progress or (lambda stage, completed, total: None))
+    found = search.find(case.recorded)
+    state, descent, transmissions = found.state, found.descent, found.transmission.astype(np.complex64)
+    heights, repeats = None, tuple[Transmissions, ...]()
+    if settings.film_index is not None:
+        heights, repeats = _heights(search, found)
+    maps = [
+        modelled - plane.amplitude
+        for modelled, plane in zip(descent.model.amplitudes(state.transmission), case.recorded, strict=True)
+    ]
+    fields = tuple(
+        light.with_values(values) for light, values in zip(case.lights, transmissions, strict=True)
+    )
+    noise = noise_misfit(case.recorded)
+    return FoundColours(
+        settings=settings,
+        patch=case.patch,
+        wavelengths_um=case.wavelengths_um,
+        transmissions=fields,
+        planes=case.planes,
+        recorded=case.recorded,
+        residual_maps=tuple(maps),
+        misfit=state.misfit,
+        over_noise=state.misfit[-1] / noise if noise else math.nan,
+        stopped_because=descent.stop(state) or "iterations",
+        scale=float(descent.model.scale),
+        oversampling=_oversampling(lens, case, settings),
+        truth=_compared(case, fields, truth),
+        heights=heights,
+        repeats=repeats,
+    )
+
+
+class _Problem(NamedTuple):
+    """Inputs of the search: objects, light, engines and measurements."""
+
+    patch: Patch
+    wavelengths_um: tuple[float, ...]
+    lights: tuple[Field, ...]
+    engines: tuple[Any, ...]
+    planes: tuple[ColourPlane, ...]
+    recorded: tuple[Measurement, ...]
+    responses: tuple[tuple[Response, ...], ...]
+
+
+def _problem(lens: Lens, frames: Sequence[Frame], settings: ColourSettings) -> _Problem:
+    """Return the problem that frames and settings state, after checks of the frames."""
+    if not frames:
+        raise InputError("frames: needs at least one frame")
+    validate_same_pitch(frames, lens)
+    shapes = {frame.counts.shape for frame in frames}
+    if len(shapes) > 1:
+        sizes = ", ".join(f"{columns} x {rows}" for rows, columns in sorted(shapes))
+        raise InputError(f"frames: have {sizes} pixels; must have the same size")
+    wavelengths = tuple(sorted({one for frame in frames for one in frame.settings.wavelengths_um}))
+    if len(wavelengths) < 2:
+        raise InputError(
+            f"frames: all are of {wavelengths[0]:g} um; must be of two or more wavelengths (for one "
+            "wavelength use `wavesim reconstruct`)"
+        )
+    field_mm = lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm
+    patch = object_patch(
+        lens,
+        field_mm,
+        settings.field_stop_mm,
+        wavelength_um=wavelengths[0],
+        object_pitch_um=settings.object_pitch_um,
+        field_stop_at_mm=settings.field_stop_at_mm or (0.0, 0.0),
+    )
+    lights = tuple(lit(replace(patch, wavelength_um=one), settings) for one in wavelengths)
+    nearest = min(frame.settings.plane_distance_mm for frame in frames)
+    rows, columns = frames[0].counts.shape
+    sensor = lens.sensor.replaced(pixels=(columns, rows))
+    distances = sorted({frame.settings.plane_distance_mm for frame in frames})
+    for one in wavelengths:
+        check_footprint(lens, replace(patch, wavelength_um=one), sensor, distances, settings.pose)
+    scene = exit_scene(lens, patch, sensor, nearest, settings.pose)
+    first = imaging_engine(scene, settings, runs=2 * settings.iterations, light=Light(lights[0]))
+    planes, recorded, responses = [], [], []
+    for group in _groups(frames):
+        own, of_group = group[0].settings, recorded_planes(group)
+        seen = own.wavelengths_um
+        on_pixels = [np.array(1.0)] if own.colours is None else own.colours.on_pixels((rows, columns))
+        near = min(frame.settings.plane_distance_mm for frame in group)
+        for plane in of_group:
+            is_mosaic = own.colours is not None and not own.colours.is_monochrome
+            planes.append(ColourPlane(near + plane.distance_mm, seen, is_mosaic))
+            recorded.append(replace(plane, distance_mm=near - nearest + plane.distance_mm))
+            by_wavelength = dict(zip(seen, on_pixels, strict=True))
+            responses.append(tuple(by_wavelength.get(one, 0.0) for one in wavelengths))
+    return _Problem(
+        patch,
+        wavelengths,
+        lights,
+        tuple(first.at_wavelength(one) for one in wavelengths),
+        tuple(planes),
+        tuple(recorded),
+        tuple(responses),
+    )
+
+
+def _groups(frames: Sequence[Frame]) -> Iterator[list[Frame]]:
+    """Yield the frames that were recorded with the same light and the same filters."""
+    groups: dict[str, list[Frame]] = {}
+    for frame in frames:
+        own = frame.settings
+        colours = "" if own.colours is None else own.colours.model_dump_json()
+        groups.setdefault(f"{own.wavelength_um:.12g} {colours}", []).append(frame)
+    yield from groups.values()
+
+
+class _Found(NamedTuple):
+    """Last state of all stages of a search, its descent, and transmissions relative to a film's ground."""
+
+    state: SolverState
+    descent: ProximalDescent
+    transmission: Transmissions
+
+
+class _Search:
+    """Searches of the object at all wavelengths."""
+
+    def __init__(self, case: _Problem, settings: ColourSettings, progress: Progress) -> None:
+        self.case, self.settings, self.progress = case, settings, progress
+
+    def find(self, recorded: Sequence[Measurement], scale: float | None = None, stage: str = "") -> _Found:
+        """Return the result of all stages.
+
+        Parameters
+        ----------
+        recorded, scale, stage
+            See :meth:`run`.
+        """
+        case, settings = self.case, self.settings
+        if settings.kind == "amplitude" and settings.scale is None and scale is None:
+            state, descent = self.with_fitted_scale()
+        else:
+            state, descent = self.run(recorded, scale=scale, stage=stage)
+        state, descent = self.polished(recorded, state, descent, stage)
+        if settings.film_index is None:
+            return _Found(state, descent, _complex(state.transmission))
+        relative = _about_ground(state.transmission, case.patch, settings)
+        if settings.kind == "thickness":
+            # Any deviation does, equal ones at all wavelengths: only the heights are used.
+            first = heights_from_phases(
+                np.angle(relative).astype(float),
+                np.full(relative.shape, 0.1),
+                case.wavelengths_um,
+                settings.film_index,
+                settings.heights_um,
+            )
+            numbers = wave_numbers(case.wavelengths_um, settings.film_index)
+            film = FilmProjection(numbers, first.height_um)
+            before, known = state.misfit, float(descent.model.scale)
+            name = stage or "one thickness for all wavelengths"
+            state, descent = self.run(recorded, film(relative), known, film, name)
+            state, descent = self.polished(recorded, state, descent, name, film)
+            state = replace(state, misfit=(*before, *state.misfit), began=len(before) + state.began)
+            relative = _about_ground(state.transmission, case.patch, settings)
+        return _Found(state, descent, relative)
+
+    def with_fitted_scale(self) -> tuple[SolverState, ProximalDescent]:
+        """Return the last state of an amplitude object whose brightest parts are 1 at one wavelength.
+
+        First iterations without a limit find the scale: the first fit assumes an object that is 1 everywhere.
+        """
+        # Iterations after which the brightest parts hardly change any more.
+        first_iterations = 30
+        count = min(first_iterations, self.settings.iterations)
+        state, descent = self.run(self.case.recorded, iterations=count, stage="amplitude: finding the scale")
+        # Single samples at edges, or with noise, exceed the brightest parts.
+        brightest = max(
+            float(np.quantile(gaussian_filter(values, 2.0)[lit], 0.99))
+            for values, lit in zip(state.transmission, descent.model.lit, strict=True)
+        )
+        if brightest <= 0.0:
+            return state, descent
+        scale, start = descent.model.scale * brightest, state.transmission / brightest
+        return self.run(self.case.recorded, _complex(start), scale)
+
+    def polished(
+        self,
+        recorded: Sequence[Measurement],
+        state: SolverState,
+        descent: ProximalDescent,
+        stage: str = "",
+        film: FilmProjection | None = None,
+    ) -> tuple[SolverState, ProximalDescent]:
+        """Return a better state with less total variation, if a search has left more than the noise.
+
+        The automatic weight grows with the misfit. It may be so large that it causes the misfit itself.
+        """
+        noise = noise_misfit(recorded)
+        if self.settings.tv_weight != "auto" or not noise or state.misfit[-1] <= FAR * noise:
+            return state, descent
+        own = None if film is None else FilmProjection(film.numbers, film.height_um)
+        scale, name = float(descent.model.scale), stage or "less total variation"
+        after, other = self.run(recorded, _complex(state.transmission), scale, own, stage=name, at_noise=True)
+        if after.misfit[-1] >= state.misfit[-1]:
+            return state, descent
+        misfit = (*state.misfit, *after.misfit)
+        return replace(after, misfit=misfit, began=len(state.misfit) + after.began), other
+
+    def run(
+        self,
+        recorded: Sequence[Measurement],
+        start: Transmissions | None = None,
+        scale: float | None = None,
+        film: FilmProjection | None = None,
+        stage: str = "",
+        iterations: int | None = None,
+        at_noise: bool = False,
+    ) -> tuple[SolverState, ProximalDescent]:
+        """Return the last state of a search, and the descent with its model.
+
+        Parameters
+        ----------
+        recorded
+            Measured amplitudes of the planes.
+        start
+            Transmissions at the start; default: 1, or those of the settings.
+        scale
+            Scale that an earlier search has found.
+        film
+            Projection on films; default: none.
+        stage
+            Name of the stage in the progress; empty for the first one.
+        iterations
+            Largest number of iterations; default: that of the settings.
+        at_noise
+            Whether an automatic total variation has the weight of noise alone, whatever the misfit.
+        """
+        case, settings = self.case, self.settings
+        known = settings.scale or scale
+        model = ColourModel(case.engines, case.lights, recorded, case.responses, known, settings.fill_factor)
+        noises = model.noise_of_step(np.ones(model.lit.shape, model.real))
+        is_automatic = settings.tv_weight == "auto"
+        mean = float(noises.mean())
+        relative = noises / mean if is_automatic else np.ones(len(noises))
+
+        weight = 0.0 if settings.tv_weight == "auto" else settings.tv_weight
+        if is_automatic and at_noise:
+            weight = TV_PER_NOISE * mean / model.scale
+
+        def total_variation(point: NDArray[Any], length: float) -> NDArray[Any]:
+            return np.stack(
+                [prox_tv(values, length * float(one)) for values, one in zip(point, relative, strict=True)]
+            )
+
+        def with_film(point: NDArray[Any], length: float) -> NDArray[Any]:
+            assert film is not None
+            return film(total_variation(point, length))
+
+        def report(index: int, misfit: float) -> None:
+            name = stage or f"{settings.kind}: misfit {misfit:.5f}"
+            self.progress(name, index + 1, settings.iterations)
+
+        descent = ProximalDescent(
+            model,
+            weight,
+            mean if is_automatic and not at_noise else None,
+            noise_misfit(recorded),
+            True,
+            known is None,
+            report,
+            None,
+            Scratch(),
+            4,
+            known is not None,
+            total_variation if film is None else with_film,
+        )
+        kind: Kind = "amplitude" if settings.kind == "amplitude" else "complex"
+        most = iterations or settings.iterations
+        stages = [(kind, most)]
+        if settings.start == "amplitude" and start is None and kind == "complex":
+            stages.insert(0, ("amplitude", min(AMPLITUDE_START, most)))
+        dtype = model.real if stages[0][0] == "amplitude" else model.dtype
+        if start is None:
+            first: NDArray[Any] = np.ones(model.lit.shape, dtype)
+        else:
+            first = (start.real if dtype == model.real else start).astype(dtype)
+        first *= model.lit
+        state = SolverState(first, first, 0.0, (), known, 0, 0)
+        return descent.run(state, stages), descent
+
+
+class FilmProjection:
+    """Projection of transmissions on films a exp(i k h), with amplitudes and heights of samples.
+
+    Parameters
+    ----------
+    numbers
+        Phase k per unit of height at each wavelength.
+    height_um
+        Heights at the start, in whose neighbourhood heights are sought.
+    """
+
+    def __init__(self, numbers: Array, height_um: Array) -> None:
+        self.numbers, self.height_um = numbers.reshape(-1, 1, 1), height_um
+
+    def __call__(self, values: NDArray[Any]) -> NDArray[Any]:
+        relative = values * np.exp(-1j * self.numbers * self.height_um)
+        weights = self.numbers * np.abs(relative)
+        change = np.sum(weights * np.angle(relative), axis=0)
+        size = np.sum(self.numbers * weights, axis=0)
+        change = np.divide(change, size, out=np.zeros_like(change), where=size > 0.0)
+        self.height_um = self.height_um + change
+        amplitude = np.mean((relative * np.exp(-1j * self.numbers * change)).real, axis=0)
+        film = np.maximum(amplitude, 0.0) * np.exp(1j * self.numbers * self.height_um)
+        return np.asarray(film, values.dtype)
+
+
+def _heights(search: _Search, found: _Found) -> tuple[Heights, tuple[Transmissions, ...]]:
+    """Return heights with their deviations, and the transmissions that repeats with other noise find.
+
+    A repeat begins as the search of the result did, so that errors of slowly converging parts count as well.
+    """
+    case, settings = search.case, search.settings
+    assert settings.film_index is not None
+    scale = float(found.descent.model.scale)
+    repeats = list[Transmissions]()
+    random = np.random.default_rng(settings.seed)
+    modelled = found.descent.model.amplitudes(found.state.transmission)
+    for index in range(settings.repeats):
+        noisy = [
+            _noisy(plane, amplitude, random) for plane, amplitude in zip(case.recorded, modelled, strict=True)
+        ]
+        stage = f"repeat {index + 1} of {settings.repeats} with other noise"
+        repeats.append(search.find(noisy, scale, stage).transmission)
+    noise, relative = noise_misfit(case.recorded), found.transmission
+    excess = max(found.state.misfit[-1] / noise, 1.0) if noise else 1.0
+    deviations = excess * _phase_deviations(relative, repeats)
+    heights = heights_from_phases(
+        np.angle(relative).astype(float),
+        deviations,
+        case.wavelengths_um,
+        settings.film_index,
+        settings.heights_um,
+    )
+    changes = np.array([np.angle(one * relative.conj()) for one in repeats])
+    column = wave_numbers(case.wavelengths_um, settings.film_index).reshape(-1, 1, 1)
+    precision = column / deviations**2
+    of_repeats = np.sum(precision * changes, axis=1) / np.sum(column * precision, axis=0)
+    # Errors of the wavelengths may be correlated: the deviations are those of the repeats' heights.
+    deviation_um = excess * np.sqrt(_smoothed(np.mean(of_repeats**2, axis=0)))
+    return replace(heights, deviation_um=deviation_um), tuple(repeats)
+
+
+def _about_ground(transmission: NDArray[Any], patch: Patch, settings: ColourSettings) -> Transmissions:
+    """Return transmissions with phases relative to the ground."""
+    if settings.ground_mm is None:
+        ground = common_phases(transmission, patch.inside)
+    else:
+        ground = np.angle(transmission[:, _samples_of(patch, settings.ground_mm, "{ground_mm}")].sum(axis=1))
+    return np.asarray(transmission * np.exp(-1j * ground)[:, None, None], np.complex64)
+
+
+def _samples_of(patch: Patch, region_mm: tuple[float, float, float, float], named: str) -> NDArray[np.bool_]:
+    """Return the samples of a region."""
+    x_mm, y_mm, width_mm, height_mm = region_mm
+    grid = patch.grid
+    mask = (np.abs(grid.x_mm - x_mm)[None, :] < 0.5 * width_mm) & (
+        np.abs(grid.y_mm - y_mm)[:, None] < 0.5 * height_mm
+    )
+    mask &= patch.inside
+    if not mask.any():
+        text = ",".join(f"{one:g}" for one in region_mm)
+        raise SettingError(
+            f"{named} = {text}: contains no samples; must lie within the field stop of "
+            f"{patch.field_stop_mm:g} mm, and be wider than {1e3 * grid.pitch_mm:.4g} um"
+        )
+    return np.asarray(mask)
+
+
+def _complex(values: NDArray[Any]) -> Transmissions:
+    return np.asarray(values, np.result_type(values.dtype, np.complex64))
+
+
+SMOOTHED_SAMPLES = 1.5
+"""Standard deviation (samples) of the smoothing of variances, which a few repeats estimate poorly."""
+
+
+def _smoothed(variance: Array) -> Array:
+    return np.maximum(gaussian_filter(variance, SMOOTHED_SAMPLES, mode="nearest"), 1e-18)
+
+
+def _phase_deviations(found: Transmissions, repeats: Sequence[Transmissions]) -> Array:
+    """Return the standard deviation of the phase at each wavelength and sample."""
+    squares = np.mean([np.angle(one * found.conj()) ** 2 for one in repeats], axis=0)
+    return np.sqrt(np.stack([_smoothed(one) for one in squares.astype(float)]))
+
+
+def _noisy(plane: Measurement, amplitude: NDArray[Any], random: np.random.Generator) -> Measurement:
+    """Return a record of modelled amplitudes with the stated noise of a plane."""
+    deviation = intensity_deviation(plane)
+    known = np.isfinite(deviation)
+    noise = np.where(known, deviation, 0.0) * random.standard_normal(deviation.shape)
+    variance = np.where(known, np.maximum(deviation, 1e-30) ** 2, np.inf)
+    noisy = recorded_intensity(plane.distance_mm, amplitude.astype(float) ** 2 + noise, variance)
+    assert noisy.sigma is not None
+    dtype = plane.amplitude.dtype
+    return replace(plane, amplitude=noisy.amplitude.astype(dtype), sigma=noisy.sigma.astype(dtype))
+
+
+def _oversampling(lens: Lens, case: _Problem, settings: ColourSettings) -> Oversampling:
+    """Return the measurements of all planes for each unknown of the objects at all wavelengths."""
+    kind: ObjectKind = "amplitude" if settings.kind == "amplitude" else "complex"
+    support = case.patch.field_stop_mm
+    of_planes = [
+        oversampling_of(
+            lens,
+            kind,
+            support_mm=support,
+            plane_distances_mm=(plane.distance_mm,),
+            wavelengths_um=plane.wavelengths_um,
+            at_once=True,
+        )
+        for plane in case.planes
+    ]
+    # Amplitude and thickness of a film are the unknowns of one complex object.
+    own = min(case.wavelengths_um), *case.wavelengths_um[1:]
+    objects = own[:1] if settings.kind == "thickness" else own
+    whole = oversampling_of(lens, kind, support_mm=support, wavelengths_um=objects)
+    return replace(
+        whole,
+        plane_distances_mm=tuple(plane.distance_mm for plane in case.planes),
+        measurements_of_planes=tuple(one.measurements for one in of_planes),
+    )
+
+
+def _compared(
+    case: _Problem, fields: Sequence[Field], truth: Sequence[Field] | Path | None
+) -> tuple[dict[str, float | None], ...]:
+    """Compare the result with the true object at each wavelength."""
+    if truth is None:
+        return ()
+    if isinstance(truth, Path):
+        truth = read_coloured_object(truth, case.patch, case.wavelengths_um)
+    by_wavelength = {one.wavelength_um: one for one in truth}
+    compared = []
+    for found, light, engine in zip(fields, case.lights, case.engines, strict=True):
+        true = by_wavelength.get(found.wavelength_um)
+        if true is None or true.grid != found.grid:
+            known = ", ".join(f"{one:g}" for one in sorted(by_wavelength))
+            raise InputError(
+                f"truth: needs the object at {found.wavelength_um:g} um on the grid {found.grid}; it has "
+                f"{known} um"
+            )
+        compared.append(truth_metrics(found, true, light, case.patch.inside, engine.scene, Scratch()))
+    return tuple(compared)
