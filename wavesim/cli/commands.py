@@ -17,6 +17,7 @@ from lensdesign.files.design import load_design
 from wavesim.cli.calibrate import calibrate
 from wavesim.cli.check_engine import check_engine
 from wavesim.cli.choose import choose
+from wavesim.cli.colours import colours
 from wavesim.cli.compare import compare
 from wavesim.cli.image import image
 from wavesim.cli.options import numbers, validate_picture_request, with_settings
@@ -34,6 +35,7 @@ app = make_app(
         "Simulate and reconstruct": {
             "image": "Simulate the frames that a sensor records of an object.",
             "reconstruct": "Find the object from frames.",
+            "colours": "Find an object or heights at several wavelengths.",
             "calibrate": "Find from frames how the bench differs from the design.",
             "plan": "Recommend planes and exposures for an object.",
             "view": "Show a whole field or frame in the browser.",
@@ -53,7 +55,7 @@ app = make_app(
         "oracle": "check-engine",
     },
 )
-for command in (plan, image, reconstruct, calibrate, view):
+for command in (plan, image, reconstruct, colours, calibrate, view):
     app.command()(with_settings(command))
 app.command("choose-engine")(with_settings(choose))
 app.command("compare-engines")(with_settings(compare))
