@@ -50,6 +50,8 @@ SHORTER = {
     # A scale of distances is sought by hundreds of iterations.
     r" --free-space --calibrate": " --free-space",
     r"^(wavesim reconstruct .*)": r"\1 --iterations 2",
+    r"^(wavesim colours .*)": r"\1 --iterations 2",
+    r"^(wavesim colours .*--film-index .*)": r"\1 --repeats 2",
     r"^(wavesim calibrate .*)": r"\1 --iterations 1 --max-mountings 1",
     r"^(wavesim calibrate (?!.*--parameters).*)": r"\1 --parameters rigid",
     r"^(wavesim plan .*)": r"\1 --max-planes 1 --exposures 1",
@@ -108,6 +110,7 @@ ALLOWED = {
     "lensdesign limits": (0, 1),
     "tolerancing budget": (0, 1),
     "wavesim reconstruct": (0, 1),
+    "wavesim colours": (0, 1),
     "wavesim calibrate": (0, 1),
 }
 # Searches for the designs as they are kept: tests/test_gallery.py runs them, and holds what they find.
