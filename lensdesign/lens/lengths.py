@@ -125,6 +125,10 @@ class LensLengths:
             least, most = 2.0 * wave, 20.0 * field
             reason = f"must be {least:.3g} to {most:.3g} mm, for a field of {field:g} mm"
             return PlausibleLength(least, most, (4.0 * wave, 2.0 * field), reason)
+        if name == "source_distance":
+            least, most = 0.5 * field, 1e4 * self.largest_mm
+            reason = f"must be {least:.3g} to {most:.3g} mm, for a field of {field:g} mm"
+            return PlausibleLength(least, most, (field, 100.0 * self.largest_mm), reason)
         if name in ("planes", "plane_distance", "predict"):
             return self._plane()
         if name == "pivot_z":

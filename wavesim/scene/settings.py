@@ -174,8 +174,11 @@ class PatchSettings(Settings):
     )
     illumination: str = Field(
         "plane",
-        description="plane, tilted, gaussian, or FILE of a measured field.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION, "metavar": "[plane|tilted|gaussian]|FILE"},
+        description="plane, tilted, gaussian, point, speckle, or FILE of a measured field.",
+        json_schema_extra={
+            "group": OptionGroup.ILLUMINATION,
+            "metavar": "[plane|tilted|gaussian|point|speckle]|FILE",
+        },
     )
     light_tilt_deg: Pair = Field(
         (0.0, 0.0),
@@ -187,17 +190,34 @@ class PatchSettings(Settings):
         description="Radius of the waist of a Gaussian beam.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
+    source_distance_mm: float | None = Field(
+        None,
+        description="Distance of a point source before the object; negative: its light converges behind it.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
+    speckle_na: float | None = Field(
+        None,
+        description="Numerical aperture of speckle, the light of a diffuser.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
+    speckle_seed: int = Field(
+        0,
+        ge=0,
+        description="Seed of the random waves of speckle.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
     light_pitch_um: float | None = Field(
         None,
         description="Sample pitch of a measured field whose file does not state it.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
 
-    @field_validator("light_tilt_deg", "waist_mm")
+    @field_validator("light_tilt_deg", "waist_mm", "source_distance_mm", "speckle_na", "speckle_seed")
     @classmethod
     def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
-        kind = "tilted" if info.field_name == "light_tilt_deg" else "gaussian"
-        if value not in (None, (0.0, 0.0)) and info.data.get("illumination") != kind:
+        kinds = {"light_tilt_deg": "tilted", "waist_mm": "gaussian", "source_distance_mm": "point"}
+        kind = kinds.get(str(info.field_name), "speckle")
+        if value not in (None, 0, (0.0, 0.0)) and info.data.get("illumination") != kind:
             raise SettingError(f"{{{info.field_name}}}: requires {{illumination}} {kind}")
         return value
 

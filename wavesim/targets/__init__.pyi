@@ -1,4 +1,4 @@
-from .illumination import field_stop, gaussian_beam, measured_field, plane_wave
+from .illumination import field_stop, gaussian_beam, measured_field, plane_wave, point_source, speckle
 from .patch import (
     Patch,
     Target,
@@ -27,8 +27,10 @@ __all__ = [
     "phase_target",
     "picture_target",
     "plane_wave",
+    "point_source",
     "read_object",
     "siemens_star",
+    "speckle",
     "tissue_phantom",
     "transmission_of",
     "usaf_chart",

@@ -1,4 +1,4 @@
-"""Illumination of an object (plane wave, Gaussian beam or measured field), and the field stop.
+"""Illumination of an object (plane, Gaussian, spherical, speckle or measured), and the field stop.
 
 An illumination is a :class:`~wavesim.fields.field.Field` in the object plane. The field behind an object is
 its product with the transmission of the object.
@@ -138,6 +138,138 @@ def gaussian_beam(
         return Field(grid, down, wavelength_um)
     across = cmath.sqrt(waist_radius_mm**2 / spread) * np.exp(-(x**2) / spread)
     return Field(grid, np.outer(down, across), wavelength_um)
+
+
+def point_source(grid: Grid, wavelength_um: float, distance_mm: float, *, index: float = 1.0) -> Field:
+    """Return the spherical wave of a point source on the axis through the grid's centre.
+
+    At the grid's centre the amplitude is 1 and the phase 0.
+
+    Parameters
+    ----------
+    grid
+        Grid of the object plane, or a meridional line.
+    wavelength_um
+        Vacuum wavelength (um).
+    distance_mm
+        Distance (mm) of the source before the grid. Where it is negative, the light converges to a point
+        behind the grid.
+    index
+        Refractive index of the medium.
+
+    Returns
+    -------
+    Field
+        Field on the grid.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    SamplingError
+        If the pitch exceeds half the period of the wave along x or y at the grid's border.
+
+    Examples
+    --------
+    The wave has the curvature of its distance:
+
+    >>> import numpy as np
+    >>> from wavesim import Grid
+    >>> from wavesim.targets import point_source
+    >>> light = point_source(Grid((65,), 1e-3, 0.0), 0.5, 4.0)
+    >>> phase_rad = np.unwrap(np.angle(light.values))
+    >>> sag_mm = (phase_rad[-1] - phase_rad[32]) * 0.5e-3 / (2.0 * np.pi)
+    >>> round(0.032**2 / (2.0 * sag_mm), 3)
+    4.0
+    """
+    validate_positive("wavelength_um", wavelength_um)
+    validate_positive("index", index)
+    if not (math.isfinite(distance_mm) and distance_mm != 0.0):
+        raise InputError(f"distance_mm = {distance_mm!r}: must be finite, and not 0")
+    widest = max(grid.half_widths_mm)
+    steepest = 1e3 * index / wavelength_um * widest / math.hypot(widest, distance_mm)
+    if steepest * grid.pitch_mm >= 0.5:
+        raise SamplingError(
+            f"distance_mm = {distance_mm:g}: the light of the point source has {steepest:.4g} cycles/mm at "
+            f"the border, too many for a pitch of {1e3 * grid.pitch_mm:.4g} µm; use a pitch below "
+            f"{500.0 / steepest:.4g} µm, or a greater distance"
+        )
+    y, x = grid.y_mm - grid.centre_mm[1], grid.x_mm - grid.centre_mm[0]
+    squared = y**2 if grid.is_line else y[:, None] ** 2 + x[None, :] ** 2
+    from_source_mm = np.sqrt(squared + distance_mm**2)
+    # The difference of both lengths, without cancellation.
+    path_mm = np.copysign(squared / (from_source_mm + abs(distance_mm)), distance_mm)
+    phasor = np.exp(2e3j * math.pi * index / wavelength_um * path_mm)
+    return Field(grid, abs(distance_mm) / from_source_mm * phasor, wavelength_um, index)
+
+
+def speckle(grid: Grid, wavelength_um: float, numerical_aperture: float, seed: int = 0) -> Field:
+    """Return fully developed speckle: light of a diffuser that fills a cone of directions evenly.
+
+    All plane waves within the cone have independent normal amplitudes. The mean intensity is 1. A speckle
+    grain is about the wavelength over twice the numerical aperture wide.
+
+    Parameters
+    ----------
+    grid
+        Grid of the object plane, or a meridional line.
+    wavelength_um
+        Vacuum wavelength (um).
+    numerical_aperture
+        Numerical aperture of the cone.
+    seed
+        Seed of the amplitudes.
+
+    Returns
+    -------
+    Field
+        Field on the grid.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    SamplingError
+        If the pitch exceeds half the period of the steepest waves.
+
+    References
+    ----------
+    J. W. Goodman, "Speckle Phenomena in Optics" (Roberts, 2007).
+
+    Examples
+    --------
+    The contrast of its intensity is 1:
+
+    >>> import numpy as np
+    >>> from wavesim import Grid
+    >>> from wavesim.targets import speckle
+    >>> intensity = np.abs(speckle(Grid((400, 400), 5e-4, 0.0), 0.5, 0.3).values) ** 2
+    >>> round(float(intensity.mean()), 6), round(float(intensity.std()), 1)
+    (1.0, 1.0)
+    """
+    validate_positive("wavelength_um", wavelength_um)
+    if not 0.0 < numerical_aperture < 1.0:
+        raise InputError(f"numerical_aperture = {numerical_aperture!r}: must lie between 0 and 1")
+    steepest = 1e3 * numerical_aperture / wavelength_um
+    if steepest * grid.pitch_mm >= 0.5:
+        raise SamplingError(
+            f"numerical_aperture = {numerical_aperture:g}: its waves have up to {steepest:.4g} cycles/mm, "
+            f"too many for a pitch of {1e3 * grid.pitch_mm:.4g} µm; use a pitch below "
+            f"{500.0 / steepest:.4g} µm"
+        )
+    # Waves whose period is that of the grid would join its opposite borders: take a larger one.
+    shape = tuple(scipy.fft.next_fast_len(math.ceil(1.25 * count)) for count in grid.shape)
+    squared = sum(np.square(cycles) for cycles in fft_frequencies(shape, grid.pitch_mm))
+    is_within = squared <= steepest**2
+    if not np.any(is_within & (squared > 0.0)):
+        raise InputError(
+            f"numerical_aperture = {numerical_aperture:g}: its speckle grains are larger than the grid"
+        )
+    random = np.random.default_rng(seed)
+    waves = is_within * (random.standard_normal(shape) + 1j * random.standard_normal(shape))
+    values = scipy.fft.ifftn(waves, workers=-1)[tuple(slice(count) for count in grid.shape)]
+    values /= math.sqrt(float(np.mean(np.abs(values) ** 2)))
+    return Field(grid, values, wavelength_um)
 
 
 def measured_field(

@@ -24,12 +24,14 @@ from wavesim.fields.field import Field, Grid
 from wavesim.fields.files import read_centre_um
 from wavesim.scene.patches import OBJECT_FINENESS, validate_within_field
 from wavesim.scene.scene import wavelength_of
-from wavesim.scene.settings import PatchSettings
+from wavesim.scene.settings import PatchSettings, SettingError
 from wavesim.targets.illumination import (
     field_stop,
     gaussian_beam,
     measured_field,
     plane_wave,
+    point_source,
+    speckle,
 )
 from wavesim.targets.patterns import (
     Polarity,
@@ -354,6 +356,9 @@ def make_illumination(
     *,
     tilt_deg: tuple[float, float] = (0.0, 0.0),
     waist_mm: float | None = None,
+    source_distance_mm: float | None = None,
+    speckle_na: float | None = None,
+    speckle_seed: int = 0,
     pitch_um: float | None = None,
 ) -> Field:
     """Return the illumination of a patch, limited by its field stop.
@@ -363,12 +368,17 @@ def make_illumination(
     patch
         Patch of the object plane.
     name
-        "plane", "tilted", "gaussian", or the path of a measured field.
+        "plane", "tilted", "gaussian", "point", "speckle", or the path of a measured field.
     tilt_deg : (x, y)
         Angles of a tilted plane wave (deg).
     waist_mm
         Radius of the Gaussian beam's waist (mm), which lies in the object plane. Default: half the radius of
         the field stop.
+    source_distance_mm
+        Distance (mm) of a point source before the object plane; negative where its light converges behind
+        it. "point" requires it.
+    speckle_na, speckle_seed
+        Numerical aperture of speckle, and seed of its random waves. "speckle" requires the aperture.
     pitch_um
         Sample pitch (um) of a measured field whose file does not state it.
 
@@ -385,13 +395,21 @@ def make_illumination(
         If the samples of the patch are too coarse for the illumination.
     """
     grid, wavelength = patch.grid, patch.wavelength_um
-    known = ("plane", "tilted", "gaussian")
+    known = ("plane", "tilted", "gaussian", "point", "speckle")
     if name == "plane":
         light = plane_wave(grid, wavelength)
     elif name == "tilted":
         light = plane_wave(grid, wavelength, tilt_x_deg=tilt_deg[0], tilt_y_deg=tilt_deg[1])
     elif name == "gaussian":
         light = gaussian_beam(grid, wavelength, 0.25 * patch.field_stop_mm if waist_mm is None else waist_mm)
+    elif name == "point":
+        if source_distance_mm is None:
+            raise SettingError("{illumination} point: requires {source_distance_mm}")
+        light = point_source(grid, wavelength, source_distance_mm)
+    elif name == "speckle":
+        if speckle_na is None:
+            raise SettingError("{illumination} speckle: requires {speckle_na}")
+        light = speckle(grid, wavelength, speckle_na, speckle_seed)
     elif Path(name).suffix or Path(name).exists():
         light = measured_field(name, grid, wavelength, pitch_um)
     else:
@@ -508,6 +526,9 @@ def lit(patch: Patch, settings: PatchSettings) -> Field:
         settings.illumination,
         tilt_deg=settings.light_tilt_deg,
         waist_mm=settings.waist_mm,
+        source_distance_mm=settings.source_distance_mm,
+        speckle_na=settings.speckle_na,
+        speckle_seed=settings.speckle_seed,
         pitch_um=settings.light_pitch_um,
     )
 

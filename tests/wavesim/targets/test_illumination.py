@@ -18,6 +18,8 @@ from wavesim.targets.illumination import (
     gaussian_beam,
     measured_field,
     plane_wave,
+    point_source,
+    speckle,
 )
 
 GRID = Grid((120, 140), 1e-3, -1.0, (0.2, -0.1))
@@ -79,6 +81,72 @@ def test_a_beam_too_narrow_is_refused() -> None:
         gaussian_beam(GRID, WAVELENGTH_UM, 1e-3)
     with pytest.raises(SamplingError, match="a Gaussian waist"):
         gaussian_beam(Grid((50, 50), 5e-3, -1.0), WAVELENGTH_UM, 8e-3)
+
+
+@pytest.mark.parametrize("shape", [(256, 256), (256,)])
+@pytest.mark.parametrize("distance", [20.0, -20.0])
+def test_a_point_source_has_the_wavefront_of_a_gaussian_beam_far_from_its_waist(
+    shape: tuple[int, ...], distance: float
+) -> None:
+    grid, waist = Grid(shape, 1e-3, 0.0), 0.01
+    beam = gaussian_beam(grid, WAVELENGTH_UM, waist, distance)
+    rayleigh = 1e3 * math.pi * waist**2 / WAVELENGTH_UM
+    curvature_radius = distance * (1.0 + (rayleigh / distance) ** 2)
+    light = point_source(grid, WAVELENGTH_UM, curvature_radius)
+    middle = tuple(count // 2 for count in shape)
+    np.testing.assert_allclose(light.values[middle], 1.0, atol=1e-3)
+    between = np.angle(beam.values / light.values * np.conj(beam.values[middle] / light.values[middle]))
+    assert np.abs(between).max() < 1e-3
+    assert np.angle(light.values / light.values[middle]).std() > 0.1
+
+
+def test_a_point_source_is_a_spherical_wave_of_its_index() -> None:
+    light = point_source(GRID, WAVELENGTH_UM, 0.5, index=1.33)
+    y, x = GRID.y_mm[3] - GRID.centre_mm[1], GRID.x_mm[7] - GRID.centre_mm[0]
+    length = math.sqrt(x**2 + y**2 + 0.5**2)
+    closed = 0.5 / length * np.exp(2e3j * math.pi * 1.33 / WAVELENGTH_UM * (length - 0.5))
+    assert light.values[3, 7] == pytest.approx(closed, abs=1e-9)
+    converging = point_source(GRID, WAVELENGTH_UM, -0.5, index=1.33)
+    np.testing.assert_allclose(converging.values, light.values.conj(), atol=1e-12)
+
+
+def test_a_point_source_too_near_is_refused() -> None:
+    grid = Grid((200, 200), 1e-3, 0.0)
+    limit = 0.1 / math.tan(math.asin(0.5 * WAVELENGTH_UM))
+    point_source(grid, WAVELENGTH_UM, 1.01 * limit)
+    with pytest.raises(SamplingError, match=r"distance_mm = .* pitch"):
+        point_source(grid, WAVELENGTH_UM, 0.99 * limit)
+    for bad in (0.0, math.inf, math.nan):
+        with pytest.raises(InputError, match="distance_mm"):
+            point_source(grid, WAVELENGTH_UM, bad)
+
+
+def test_speckle_fills_its_cone_evenly_and_has_the_statistics_of_a_diffuser() -> None:
+    grid = Grid((512, 512), 5e-4, 0.0)
+    light = speckle(grid, WAVELENGTH_UM, 0.3, seed=2)
+    intensity = np.abs(light.values) ** 2
+    assert intensity.mean() == pytest.approx(1.0)
+    assert np.mean(intensity > 1.0) == pytest.approx(math.exp(-1.0), abs=0.01)
+    window = np.outer(*(np.hanning(512),) * 2)
+    power = np.abs(np.fft.fft2(light.values * window)) ** 2
+    cycles = np.fft.fftfreq(512, 5e-4)
+    sine = 1e-3 * WAVELENGTH_UM * np.hypot(cycles[:, None], cycles)
+    assert power[sine > 0.32].sum() < 1e-3 * power.sum()
+    inner, outer = (power[(sine > low) & (sine < high)].mean() for low, high in ((0.0, 0.15), (0.15, 0.28)))
+    assert inner == pytest.approx(outer, rel=0.1)
+    np.testing.assert_array_equal(light.values, speckle(grid, WAVELENGTH_UM, 0.3, seed=2).values)
+    assert relative_error(speckle(grid, WAVELENGTH_UM, 0.3, seed=3).values, light.values) > 1.0
+
+
+def test_speckle_that_the_grid_cannot_hold_is_refused() -> None:
+    grid = Grid((100, 100), 1e-3, 0.0)
+    with pytest.raises(SamplingError, match=r"numerical_aperture = 0\.3: .* pitch below"):
+        speckle(grid, WAVELENGTH_UM, 0.3)
+    with pytest.raises(InputError, match="grains are larger than the grid"):
+        speckle(grid, WAVELENGTH_UM, 1e-3)
+    for bad in (0.0, 1.0, math.nan):
+        with pytest.raises(InputError, match="numerical_aperture"):
+            speckle(grid, WAVELENGTH_UM, bad)
 
 
 def smooth(grid: Grid) -> np.ndarray:

@@ -15,7 +15,7 @@ from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.poses import Pose
 from wavesim.metrics.contrast import element_contrasts
 from wavesim.scene.scattered_light import Light
-from wavesim.scene.settings import DEFAULT_ERROR, EngineSettings
+from wavesim.scene.settings import DEFAULT_ERROR, EngineSettings, SettingError
 from wavesim.sensor.sensor import FootprintWarning
 from wavesim.sensor.windows import (
     TILE_ERROR,
@@ -179,6 +179,15 @@ def test_light_keeps_to_the_stop_and_to_its_kind(tmp_path: Path) -> None:
     gaussian = np.abs(make_illumination(patch, "gaussian").values)
     at_waist = abs(abs(patch.grid.x_mm) - 0.02).argmin()
     assert gaussian[middle, at_waist] == pytest.approx(math.exp(-1.0), abs=0.02)
+    distance = 0.4
+    point = make_illumination(patch, "point", source_distance_mm=distance)
+    assert point.energy == pytest.approx(math.pi * distance**2 * math.log1p((0.04 / distance) ** 2), rel=1e-2)
+    grains = make_illumination(patch, "speckle", speckle_na=0.3, speckle_seed=4)
+    assert grains.energy == pytest.approx(plane.energy, rel=0.1)
+    assert not grains.values[~patch.inside & (plane.values == 0.0)].any()
+    for name, missing in (("point", "source_distance_mm"), ("speckle", "speckle_na")):
+        with pytest.raises(SettingError, match=f"illumination {name}: requires {missing}"):
+            make_illumination(patch, name)
     np.savez(tmp_path / "light.npz", values=2.0 * np.ones((300, 300), complex), pitch_um=0.4)
     measured = make_illumination(patch, str(tmp_path / "light.npz"))
     assert measured.energy == pytest.approx(4.0 * plane.energy, rel=1e-3)
