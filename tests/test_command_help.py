@@ -179,7 +179,7 @@ def choices(*words: str) -> str:
 @pytest.mark.parametrize(
     ("command", "shown"),
     [
-        ("wavesim image", "--illumination [plane|tilted|gaussian]|FILE"),
+        ("wavesim image", "--illumination [plane|tilted|gaussian|point|speckle]|FILE"),
         ("wavesim image", "--object [usaf|star|phase|tissue|empty]|FILE"),
         ("wavesim image", "--ground [bright|dark]"),
         ("wavesim image", f"--engine {choices(AUTO, *ENGINES)}"),
@@ -188,7 +188,7 @@ def choices(*words: str) -> str:
         ("wavesim image", f"--interface {choices(*get_args(Interface))}"),
         ("wavesim resolve-lines", f"--spacing {choices(*get_args(Spacing))}"),
         ("wavesim resolve-lines", f"--reference {choices(*ENGINES)}"),
-        ("wavesim reconstruct", "--kind [complex|amplitude]"),
+        ("wavesim reconstruct", "--kind [complex|amplitude|phase]"),
         ("wavesim reconstruct", "--method [paper|object]"),
         ("wavesim reconstruct", f"--start {choices(*STARTS['paper'], *STARTS['object'])}"),
         ("wavesim reconstruct", "--tv-weight NUMBER|auto"),

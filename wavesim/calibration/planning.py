@@ -81,7 +81,7 @@ class TrialObject(NamedTuple):
     Attributes
     ----------
     kind : str
-        "complex" or "amplitude".
+        "complex", "amplitude" or "phase". Phase objects also try plans for complex objects.
     description : str
         Description for the user.
     transmission : callable
@@ -116,12 +116,12 @@ TRIAL_OBJECTS = {
     ),
     "dense": TrialObject("complex", "absorption, and phase of 1.2 rad rms", _dense),
     "thin": TrialObject(
-        "complex",
+        "phase",
         "smooth phase of 0.2 rad rms",
         lambda random: np.exp(0.2j * random.smooth(6.0)),
     ),
     "steps": TrialObject(
-        "complex",
+        "phase",
         "phase steps of 1 rad on 5 %",
         lambda random: np.exp(1j * random.grains(4.0, 0.05)),
     ),
@@ -262,7 +262,7 @@ class Plans:
                     else "."
                 )
             )
-        if chosen.kind == "complex" and math.isfinite(best.smooth_fraction):
+        if chosen.kind != "amplitude" and math.isfinite(best.smooth_fraction):
             lines.append(
                 f"Smooth phase (less than {SMOOTH_CYCLES:g} cycles across the patch) is hardly determined by "
                 f"the planes: it is {100.0 * best.smooth_fraction:.0f} % of the squared error of the worst "
@@ -443,7 +443,7 @@ def random_objects(patch: Patch, settings: PlanSettings) -> dict[str, Field]:
     return {
         name: Field(patch.grid, trial.transmission(random).astype(np.complex64), patch.wavelength_um)
         for name, trial in TRIAL_OBJECTS.items()
-        if trial.kind == settings.kind
+        if settings.kind == trial.kind or (settings.kind, trial.kind) == ("complex", "phase")
     }
 
 

@@ -256,11 +256,11 @@ def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit
 def may_be_stagnated(
     case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
 ) -> bool:
-    """Return whether the search for an amplitude object may have ended in a local minimum.
+    """Return whether the search for an amplitude or phase object may have ended in a local minimum.
 
     Whether it left more than the noise is for :func:`excess_of` to say.
     """
-    if settings.kind != "amplitude" or isinstance(case.engine, Tiled):
+    if settings.kind == "complex" or isinstance(case.engine, Tiled):
         return False
     if found.stopped_because == "noise" or len(found.residual_maps) < len(case.recorded):
         return False

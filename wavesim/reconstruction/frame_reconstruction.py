@@ -472,14 +472,15 @@ def _leave_local_minimum(
     start: Field | Literal["amplitude"] | None,
     found: Reconstructed,
 ) -> Reconstructed:
-    """Return the best of an amplitude object, one without an upper limit, and one from a growing aperture.
+    """Return the best of the object found and those of other searches: without an upper limit of the
+    amplitude, and with a growing aperture.
 
     Nothing is searched once an object leaves no more than the noise. The limit of 1 may be too low where the
     scale is fitted to an object that is bright everywhere.
     """
     excess = excess_of(case, found.residual_maps)
     searches = [partial(_solve_with_growing_aperture, case, settings, engine, reporter)]
-    if settings.scale is None:
+    if settings.scale is None and settings.kind == "amplitude":
         searches = [partial(_solve, case, settings, engine, reporter, start, bounded=False), *searches]
     for search in searches:
         if excess <= 1.0:
@@ -498,7 +499,7 @@ def _solve_with_growing_aperture(
     engine: Engine,
     reporter: ProgressReporter,
 ) -> Reconstructed:
-    """Return the amplitude object that a growing aperture finds."""
+    """Return the amplitude or phase object that a growing aperture finds."""
     start: Field | None = None
     iterations = min(STAGE_ITERATIONS, settings.most_iterations)
     for index, planes in enumerate(aperture_stages(case.given)):

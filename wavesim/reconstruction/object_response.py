@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.forward.linear_model import LinearModel, RealArray
+from wavesim.scene.settings import Kind
 
 FOLLOWING_ITERATIONS = 12
 """Iterations of conjugate gradients by which the object follows a change."""
@@ -39,8 +40,32 @@ def free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]
     return np.asarray(lit & ~is_at_bound)
 
 
+def possible_change(kind: Kind, values: NDArray[Any], change: NDArray[Any]) -> NDArray[Any]:
+    """Return the part of a change that an object of a kind can have.
+
+    It is real for an amplitude object, and along the unit circle for a phase object.
+
+    Parameters
+    ----------
+    kind, values
+        Kind of the object, and its transmission.
+    change
+        Any change of the transmission.
+    """
+    if kind == "amplitude":
+        return change.real
+    if kind == "phase":
+        along = 1j * values
+        return np.asarray(along * (along.conj() * change).real)
+    return change
+
+
 def following_change(
-    linear: LinearModel, column: RealArray, is_free: NDArray[np.bool_], is_real: bool
+    linear: LinearModel,
+    column: RealArray,
+    is_free: NDArray[np.bool_],
+    kind: Kind,
+    values: NDArray[Any],
 ) -> NDArray[Any]:
     """Return the change x of the transmission with the least |column + J x|, by CGLS.
 
@@ -52,13 +77,12 @@ def following_change(
         Change of the modelled amplitudes.
     is_free
         Samples of the object that may change.
-    is_real
-        Whether the object is real.
+    kind, values
+        Kind of the object, and its transmission.
     """
 
     def gradient(remaining: RealArray) -> NDArray[Any]:
-        on_object = linear.adjoint_to_object(remaining)
-        return np.asarray((on_object.real if is_real else on_object) * is_free)
+        return np.asarray(possible_change(kind, values, linear.adjoint_to_object(remaining)) * is_free)
 
     remaining = column.copy()
     direction = -gradient(remaining)

@@ -11,7 +11,8 @@ The Hessian is therefore 1 at most, and accelerated steps are stable up to a ste
 Each step consists of a few inner iterations of the same kind on the field behind the lens, where planes cost
 little, before the change is taken back to the object. The proximal map of the total variation preserves
 edges and suppresses noise. Steps are accelerated (FISTA), and the momentum restarts where it increases the
-misfit. The object is zero where the illumination is zero: a field stop acts as a support constraint.
+misfit. The object is zero where the illumination is zero: a field stop acts as a support constraint. After
+the proximal map, an amplitude object is clipped to 0 and 1, and a phase object is divided by its modulus.
 
 References
 ----------
@@ -26,7 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
 from wavesim.forward.colour_model import ColourModel
+from wavesim.forward.exit_field import ROWS
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.stop_rule import AT_NOISE, FAR, STOPPED, Stop, stop_reason
@@ -192,7 +194,8 @@ def reconstruct(
         Measured amplitudes of one or more planes. Distances count from the engine's exit grid, in mm. Pixels
         are weighted by their standard deviation `sigma`; a pixel with infinite `sigma` is ignored.
     kind
-        "complex", or "amplitude" for a real transmission between 0 and 1.
+        "complex"; "amplitude" for a real transmission between 0 and 1; or "phase" for a transmission of
+        modulus 1.
     tv_weight
         Weight of the total variation, for transmissions of order 1; 0 disables it. With "auto" the weight is
         `TV_PER_NOISE` times the noise of a step, times the ratio of the misfit to that of noise alone. The
@@ -269,6 +272,8 @@ def reconstruct(
     1.0
     """
     validate_numbers(kind, tv_weight, iterations, scale, fill_factor)
+    if kind == "phase" and isinstance(start, str):
+        raise InputError(f"start = {start!r}: cannot be used for a phase object; give a field, or omit it")
     validate_measurements(engine.scene, illumination, recorded, start, rows)
     _validate_modes(engine, illumination, modes, rows)
     scratch = scratch or Scratch()
@@ -371,7 +376,8 @@ class ProximalDescent:
     def _next_state(self, state: SolverState, kind: Kind) -> SolverState:
         # Iterations in which an unknown scale is fitted. In later ones scale and transmission would drift.
         scale_iterations = 4
-        self.model.fits_scale = self.fits_scale and len(state.misfit) < scale_iterations
+        # A pure phase cannot take over a part of the scale.
+        self.model.fits_scale = self.fits_scale and (kind == "phase" or len(state.misfit) < scale_iterations)
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         is_far = self._is_far(state)
         point, misfit = self._gradient_step(state.ahead, kind, self.inner_iterations if is_far else 1)
@@ -379,6 +385,8 @@ class ProximalDescent:
         point = self.prox(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * weight)
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
+        elif kind == "phase":
+            _project_on_unit_circle(point)
         dtype = self.model.real if kind == "amplitude" else self.model.dtype
         after = self.scratch.array(point.shape, dtype, "a step")
         np.multiply(point, self.model.lit, out=after)
@@ -446,6 +454,15 @@ def _with_half_total_variation(state: SolverState) -> SolverState:
     )
 
 
+def _project_on_unit_circle(values: Array) -> None:
+    """Divide values by their moduli, in place; a value of 0 becomes 1."""
+    for start in range(0, len(values), ROWS):
+        block = values[start : start + ROWS]
+        modulus = np.abs(block)
+        block[modulus == 0.0] = modulus[modulus == 0.0] = 1.0
+        block /= modulus
+
+
 def _leads_uphill(now: Array, ahead: Array, after: Array) -> bool:
     """Return whether the last step points against the gradient, so that the momentum must restart."""
     # A few rows at a time: differences of whole fields would be the largest arrays of a step.
@@ -464,7 +481,7 @@ def validate_numbers(
     InputError
         If a setting is out of range.
     """
-    validate_choice("kind", kind, ("complex", "amplitude"))
+    validate_choice("kind", kind, get_args(Kind))
     if tv_weight != "auto" and (
         isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
     ):

@@ -26,7 +26,7 @@ from wavesim.forward.source_modes import ModesMeasurement
 from wavesim.reconstruction.object_response import following_change, free_samples
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
-from wavesim.scene.settings import FramedSettings, ReconstructionSettings
+from wavesim.scene.settings import FramedSettings, Kind, ReconstructionSettings
 from wavesim.scene.source import POINT, Source, SourceMode
 from wavesim.sensor.measurement import Measurement
 
@@ -149,7 +149,7 @@ def find_source(
         is_real = settings.kind == "amplitude"
         values = transmission.values.real if is_real else transmission.values
         linear = LinearModel(model, values, settings.scale is None)
-        squares, variances = squared_widths(linear, source, names, values)
+        squares, variances = squared_widths(linear, source, names, settings.kind, values)
         has_converged = True
         for name, square, variance in zip(names, squares.tolist(), variances.tolist(), strict=True):
             width = getattr(source, name)
@@ -170,7 +170,7 @@ def find_source(
 
 
 def squared_widths(
-    linear: LinearModel, source: Source, names: Sequence[str], values: NDArray[Any]
+    linear: LinearModel, source: Source, names: Sequence[str], kind: Kind, values: NDArray[Any]
 ) -> tuple[Array, Array]:
     """Return the estimates of squared widths of a source, and their variances.
 
@@ -182,13 +182,13 @@ def squared_widths(
         The source; the widths that are estimated are not 0.
     names
         Names of the widths (`WIDTHS`).
-    values
-        Transmission of the object, real for an amplitude object.
+    kind, values
+        Kind of the object, and its transmission, which is real for an amplitude object.
     """
-    is_real, is_free = not np.iscomplexobj(values), free_samples(linear, values)
+    is_free = free_samples(linear, values)
     remainders = []
     for column in source_columns(linear, source, names):
-        following = following_change(linear, column, is_free, is_real)
+        following = following_change(linear, column, is_free, kind, values)
         remainders.append(np.ravel(column + linear.jacobian_times_object(following)))
     columns = np.stack(remainders)
     residual = linear.unbiased_residual().ravel()

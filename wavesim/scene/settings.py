@@ -136,7 +136,7 @@ Points = Annotated[
     ),
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
-Kind = Literal["complex", "amplitude"]
+Kind = Literal["complex", "amplitude", "phase"]
 StopOrigin = Literal["patch", "stated", "frames", "calibration"]
 """Where a field stop comes from: the patch's sides, settings, the frames, or an earlier calibration."""
 
@@ -619,7 +619,7 @@ class FramedSettings(EngineSettings, PatchSettings):
 
     kind: Kind = Field(
         "complex",
-        description="Kind of the object: complex, or amplitude for one without phase.",
+        description="Kind of the object: complex, amplitude (without phase), or phase (without absorption).",
         json_schema_extra={"group": OptionGroup.OBJECT},
     )
     field_stop: Literal["stated", "find"] = Field(
@@ -701,7 +701,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     >>> settings.most_iterations, settings.replaced(method="paper").most_iterations
     (80, 500)
     >>> ReconstructionSettings.model_fields["kind"].description
-    'Kind of the object: complex, or amplitude for one without phase.'
+    'Kind of the object: complex, amplitude (without phase), or phase (without absorption).'
     """
 
     option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
@@ -747,6 +747,8 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         method = info.data.get("method", "object")
         if start is not None and start not in STARTS[method]:
             raise ValueError(f"allowed for {method}: {', '.join(STARTS[method])}")
+        if start == "amplitude" and info.data.get("kind") == "phase":
+            raise SettingError("{start} amplitude: cannot be used with {kind} phase")
         return start
 
     @field_validator("hold_out_plane", "starts")
@@ -934,7 +936,7 @@ class PlanSettings(Settings):
 
     model_config = ConfigDict(loc_by_alias=False)
 
-    kind: Literal["complex", "amplitude"] = Field(
+    kind: Kind = Field(
         "complex", description="Kind of the object.", json_schema_extra={"group": OptionGroup.OBJECT}
     )
     patch_mm: Size | None = Field(

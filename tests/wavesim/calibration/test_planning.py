@@ -58,6 +58,15 @@ def test_the_prediction_is_a_range_over_objects_that_change_much_and_little(kind
         assert all(np.isreal(one.values).all() for one in objects.values())
 
 
+def test_phase_objects_are_a_part_of_the_complex_ones() -> None:
+    patch = object_patch(LENS, 0.03)
+    phase, complex_ = (random_objects(patch, PlanSettings(kind=kind)) for kind in ("phase", "complex"))
+    assert set(phase) < set(complex_)
+    for one in phase.values():
+        np.testing.assert_allclose(np.abs(one.values), 1.0, atol=1e-6)
+        assert 0.1 < _strength(one.values[patch.inside]) < 0.9
+
+
 @pytest.mark.usefixtures("quick_verdicts")
 def test_a_phase_object_comes_out_within_the_predicted_range() -> None:
     """A phase object is not promised what a dense one reaches: smooth phase ends where noise does."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.scene.settings import Kind
 from wavesim.sensor.imaging import Imaged, image
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
@@ -56,7 +58,10 @@ def test_an_object_of_one_s_own_is_imaged_as_a_named_one(imaged: Imaged) -> None
 def test_settings_that_do_not_go_are_refused_by_name(imaged: Imaged, tmp_path: Path) -> None:
     for changes, message in (
         ({"patch": 0.05}, "patch: Extra inputs"),
-        ({"kind": "phase"}, "kind: must be"),
+        ({"kind": "volume"}, "kind: must be"),
+        ({"kind": "phase", "start": "amplitude"}, "start amplitude: cannot be used with kind phase"),
+        ({"speckle_na": 0.3}, "speckle_na: requires illumination speckle"),
+        ({"illumination": "point"}, "illumination point: requires source_distance_mm"),
         ({"start": "model"}, "start: allowed for object: even, amplitude"),
         ({"chart_at_mm": [(0.01, 0.0)]}, "chart_at_mm: requires usaf"),
         ({"waist_mm": 0.01}, "waist_mm: requires illumination gaussian"),
@@ -72,3 +77,44 @@ def test_settings_that_do_not_go_are_refused_by_name(imaged: Imaged, tmp_path: P
     with pytest.raises(InputError, match=r"frames: .*one"):
         reconstruct_frames(LENS, [])
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.usefixtures("quick_verdicts")
+def test_one_frame_gives_a_phase_object_and_not_a_complex_one() -> None:
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+    common: dict[str, Any] = {"patch_mm": 0.06, "engine": "eikonal"}
+    taken = image(
+        lens, "phase", planes_mm=(0.042,), error=0.02, full_well_electrons=1e5, bits=14, seed=3, **common
+    )
+    truth = taken.target.transmission
+    reached = {
+        kind: reconstruct_frames(lens, taken.frames, kind=kind, truth=truth, error=0.05, **common)
+        for kind in ("phase", "complex")
+    }
+    assert (reached["phase"].truth["object_correlation"] or 0.0) > 0.96
+    assert (reached["complex"].truth["object_correlation"] or 0.0) < 0.93
+    found = reached["phase"].transmission.values
+    np.testing.assert_allclose(np.abs(found[taken.patch.inside]), 1.0, atol=1e-5)
+
+
+@pytest.mark.usefixtures("quick_verdicts")
+@pytest.mark.parametrize(
+    ("object_", "kind", "light", "plain", "enough"),
+    [
+        ("usaf", "amplitude", {"illumination": "point", "source_distance_mm": 0.15}, 0.97, 0.985),
+        ("tissue", "complex", {"illumination": "speckle", "speckle_na": 0.3}, 0.85, 0.95),
+    ],
+)
+def test_one_exposure_suffices_with_light_that_spreads_over_the_sensor(
+    object_: str, kind: Kind, light: dict[str, Any], plain: float, enough: float
+) -> None:
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+    reached = []
+    for of_light in ({}, light):
+        common: dict[str, Any] = {"patch_mm": 0.06, "engine": "eikonal", **of_light}
+        taken = image(lens, object_, planes_mm=(0.042,), error=0.02, full_well_electrons=12_500.0, **common)
+        truth = taken.target.transmission
+        found = reconstruct_frames(lens, taken.frames, kind=kind, truth=truth, error=0.05, **common)
+        reached.append(found.truth["object_correlation"] or 0.0)
+    assert reached[0] < plain
+    assert reached[1] > enough

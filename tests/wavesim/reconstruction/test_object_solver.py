@@ -499,7 +499,7 @@ def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind,
         ({"recorded": [Measurement(0.0, np.zeros((216, 216)))]}, "amplitudes are 0"),
         ({"recorded": [Measurement(0.0, np.full((216, 216), np.nan))]}, "finite"),
         ({"recorded": [Measurement(np.nan, np.ones((216, 216)))]}, "distance_mm = nan"),
-        ({"kind": "phase"}, "kind = 'phase'"),
+        ({"kind": "volume"}, "kind = 'volume'"),
         ({"tv_weight": -1.0}, "tv_weight"),
         ({"iterations": 0}, "iterations = 0"),
         ({"scale": 0.0}, "scale = 0.0"),
@@ -520,3 +520,74 @@ def test_refused(case: Case, change: dict, message: str) -> None:
     arguments = {"recorded": case.recorded} | change
     with pytest.raises(InputError, match=message):
         reconstruct(case.engine, case.illumination, **arguments)
+
+
+@pytest.fixture(scope="module")
+def phase_case(case: Case) -> Case:
+    """The bars of `case` as steps of phase on a smooth phase, on the first plane, with noise."""
+    y, x = case.illumination.grid.y_mm[:, None], case.illumination.grid.x_mm
+    smooth = np.cos(2.0 * np.pi * x / 0.03) * np.cos(2.0 * np.pi * y / 0.02)
+    transmission = np.exp(1j * (0.7 * (1.0 - case.transmission) + 0.4 * smooth))
+    lit = case.illumination
+    field = case.engine.forward(lit.with_values((transmission * lit.values).astype(np.complex64)))
+    intensity = np.abs(field.values) ** 2
+    electrons = 1e6 / intensity.max() * intensity
+    noisy = np.random.default_rng(3).normal(electrons, np.sqrt(electrons + 4.0))
+    return Case(
+        case.engine, lit, transmission, [recorded_intensity(0.0, noisy, np.maximum(noisy, 0.0) + 4.0)]
+    )
+
+
+def test_a_phase_object_is_found_from_one_plane_that_leaves_a_complex_one_open(phase_case: Case) -> None:
+    lit = np.abs(phase_case.illumination.values) > 0.0
+    scores = {}
+    for kind in ("phase", "complex"):
+        found = reconstruct(
+            phase_case.engine,
+            phase_case.illumination,
+            phase_case.recorded,
+            kind=kind,
+            tv_weight="auto",
+            until_noise=True,
+        )
+        values = found.transmission.values
+        # A constant phase of the object does not show.
+        piston = np.vdot(values[lit], phase_case.transmission[lit])
+        turned = found.transmission.with_values(values * piston / abs(piston))
+        scores[kind] = score(phase_case, turned)
+        if kind == "phase":
+            np.testing.assert_allclose(np.abs(values[lit]), 1.0, atol=1e-5)
+            assert not values[~lit].any()
+            assert found.scale == pytest.approx(found_scale(phase_case), rel=0.01)
+    assert scores["phase"] > 0.98
+    assert scores["complex"] < 0.9
+
+
+def found_scale(case: Case) -> float:
+    """Scale that the true object has: root of recorded over modelled light."""
+    model = ForwardModel(case.engine, case.illumination, case.recorded, 1.0)
+    (modelled,) = model.amplitudes(case.transmission.astype(np.complex64))
+    return float(np.linalg.norm(case.recorded[0].amplitude) / np.linalg.norm(modelled))
+
+
+def test_a_phase_object_continues_as_if_it_had_not_been_interrupted(phase_case: Case) -> None:
+    settings: dict[str, Any] = {"kind": "phase", "tv_weight": "auto", "iterations": 6}
+    states: list[SolverState] = []
+    arguments = phase_case.engine, phase_case.illumination, phase_case.recorded
+    whole = reconstruct(*arguments, keep=states.append, **settings)
+    again = reconstruct(*arguments, resume=states[2], **settings)
+    np.testing.assert_array_equal(again.transmission.values, whole.transmission.values)
+    assert again.misfit == whole.misfit
+
+
+def test_a_phase_object_does_not_start_from_an_amplitude_object(phase_case: Case) -> None:
+    with pytest.raises(InputError, match=r"start = 'amplitude': cannot be used for a phase object"):
+        reconstruct(
+            phase_case.engine, phase_case.illumination, phase_case.recorded, kind="phase", start="amplitude"
+        )
+
+
+def test_dark_values_have_the_phase_0_on_the_unit_circle() -> None:
+    values = np.array([[0.0, 3.0j], [-2.0, 1.0 + 1.0j]], np.complex64)
+    object_solver._project_on_unit_circle(values)
+    np.testing.assert_allclose(values, [[1.0, 1.0j], [-1.0, np.exp(0.25j * np.pi)]], atol=1e-6)

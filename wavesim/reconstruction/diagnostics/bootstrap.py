@@ -227,7 +227,7 @@ def _starts(illumination: Field, kind: Kind, seed: int) -> list[Field | Literal[
     smooth /= smooth.std()
     values = 1.0 / (1.0 + np.exp(smooth)) if kind == "amplitude" else np.exp(1j * smooth)
     start = illumination.with_values(values.astype(illumination.values.dtype))
-    return [None, start] if kind == "amplitude" else [None, "amplitude", start]
+    return [None, "amplitude", start] if kind == "complex" else [None, start]
 
 
 def _equivalent_objects(

@@ -169,7 +169,7 @@ def score_test(
     following_changes = []
     for name, column in columns.items():
         progress(f"effect of {name} with the best object")
-        following_changes.append(following_change(linear, column, is_free, kind == "amplitude"))
+        following_changes.append(following_change(linear, column, is_free, kind, values))
         columns[name] = column + linear.jacobian_times_object(following_changes[-1])
     remaining = np.stack([column.ravel() for column in columns.values()])
     residual = linear.residual.ravel()
