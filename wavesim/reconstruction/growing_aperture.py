@@ -1,10 +1,10 @@
 """Pixels of a growing aperture: light at small angles first, light at larger angles later.
 
 The search for an amplitude or phase object can stagnate in a local minimum, for example where most of the
-object is dark, where fine bars fill it, or where its phase is strong. Light at small angles reaches the middle
-of the sensor and depends on the coarse parts of the object alone, which are found from almost any start. Each
-stage adds pixels around the middle and starts from the object of the stage before. The same idea is used for
-inverse problems of other waves, where stages add frequencies.
+object is dark, where fine bars fill it, or where its phase is strong. Light at small angles reaches the
+middle of the sensor and depends on the coarse parts of the object alone, which are found from almost any
+start. Each stage adds pixels around the middle and starts from the object of the stage before. The same idea
+is used for inverse problems of other waves, where stages add frequencies.
 
 References
 ----------
