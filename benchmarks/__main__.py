@@ -39,6 +39,7 @@ SCRIPTS = (
     "cover_glass",
     "iterations",
     "layers",
+    "single_exposure",
     "phase_retrieval",
     "refocusing",
     "uncertainty",
