@@ -19,8 +19,9 @@ from lensdesign.analysis.exit_beam import (
 from lensdesign.analysis.form_error import form_errors
 from lensdesign.analysis.moulding import moulding_checks
 from lensdesign.analysis.outline import thinnest_drawn_edge
+from lensdesign.analysis.oversampling import oversampling_of_kinds
 from lensdesign.analysis.paraxial import first_order
-from lensdesign.analysis.report import CheckReport, Constraint, WavelengthCheck, WorstRay
+from lensdesign.analysis.report import CheckReport, Constraint, OversamplingRatio, WavelengthCheck, WorstRay
 from lensdesign.analysis.roughness import roughness_report
 from lensdesign.analysis.space_bandwidth import Matching, match, smallest_exit_beam_diameter_mm
 from lensdesign.common.given import FilePath, object_of
@@ -135,6 +136,10 @@ def check_design(lens: Lens | FilePath, *, refined: bool = True) -> CheckReport:
         moulding=moulding_checks(lens),
         roughness=roughness_report(lens),
         coatings=tuple(coating_report(lens, wavelength) for wavelength in lens.wavelengths_um),
+        oversampling=tuple(
+            OversamplingRatio(one.kind, one.ratio_of_planes, one.ratio)
+            for one in oversampling_of_kinds(lens, rows[0].wavelength_um, rows[0].footprint_radius_mm)
+        ),
     )
 
 

@@ -131,6 +131,8 @@ def _properties(lens: Lens, check: Callable[[Lens], CheckReport]) -> _Values:
     }.items():
         if not any(label.partition(",")[0] in one.name for one in report.constraints):
             found[label] = (value, None)
+    for ratio in report.oversampling:
+        found[f"oversampling, {ratio.kind} object, all planes"] = (ratio.all_planes, None)
     found["etendue filled, %"] = (100.0 * report.etendue_share, None)
     found["exit beam, mm"] = (report.exit_beam_diameter_mm, None)
     found["effective focal length, mm"] = (report.efl_mm, None)

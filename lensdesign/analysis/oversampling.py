@@ -89,6 +89,11 @@ class Oversampling:
         """Measurements for each unknown."""
         return self.measurements / self.unknowns
 
+    @property
+    def ratio_of_planes(self) -> tuple[float, ...]:
+        """Measurements of each plane alone for each unknown."""
+        return tuple(one / self.unknowns for one in self.measurements_of_planes)
+
     def planes_for(self, ratio: float) -> int:
         """Return the number of planes, with as many measurements each as these, that reach a ratio."""
         mean = self.ratio / len(self.plane_distances_mm)
@@ -223,15 +228,43 @@ def oversampling_of(
     lit = lens.replaced(object=lens.object.replaced(field_diameter_mm=support))
     degrees = [sbp_object(support, aperture, wavelength) for wavelength in wavelengths]
 
-    def on_sensor(light_mm: float, degrees_of_freedom: float) -> float:
-        sensor = lens.sensor
-        return measurements_in_light(light_mm, sensor.size_mm, sensor.pixel_pitch_um, degrees_of_freedom)
-
     measured = []
     for distance in planes:
         lights_mm = [2.0 * footprint(lit, wavelength, distance).radius_mm for wavelength in wavelengths]
         if at_once:
-            measured.append(on_sensor(max(lights_mm), sum(degrees)))
+            measured.append(_on_sensor(lens, max(lights_mm), sum(degrees)))
         else:
-            measured.append(sum(map(on_sensor, lights_mm, degrees)))
+            frames = zip(lights_mm, degrees, strict=True)
+            measured.append(sum(_on_sensor(lens, light_mm, own) for light_mm, own in frames))
     return Oversampling(kind, support, wavelengths, layers, planes, tuple(measured), unknowns)
+
+
+def oversampling_of_kinds(
+    lens: Lens, wavelength_um: float, footprint_radius_mm: Sequence[float]
+) -> tuple[Oversampling, ...]:
+    """Return the oversampling ratio of each kind of object over the whole field, from known footprints.
+
+    The values are those of :func:`oversampling_of`, which traces the rays itself.
+
+    Parameters
+    ----------
+    lens
+        The lens with its object and sensor.
+    wavelength_um
+        Vacuum wavelength.
+    footprint_radius_mm
+        Radius of the light on each plane of the design.
+    """
+    scene, planes = lens.object, lens.sensor.plane_distances_mm
+    degrees = sbp_object(scene.field_diameter_mm, scene.numerical_aperture, wavelength_um)
+    measured = tuple(_on_sensor(lens, 2.0 * radius, degrees) for radius in footprint_radius_mm)
+    return tuple(
+        Oversampling(kind, scene.field_diameter_mm, (wavelength_um,), 1, planes, measured, degrees * count)
+        for kind, count in UNKNOWNS_OF_KIND.items()
+    )
+
+
+def _on_sensor(lens: Lens, light_diameter_mm: float, degrees_of_freedom: float) -> float:
+    """Return the measurements of one frame on the sensor of a lens."""
+    sensor = lens.sensor
+    return measurements_in_light(light_diameter_mm, sensor.size_mm, sensor.pixel_pitch_um, degrees_of_freedom)

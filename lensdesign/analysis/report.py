@@ -79,6 +79,25 @@ class WorstRay:
     wavelength_um: float
 
 
+@dataclass(frozen=True)
+class OversamplingRatio:
+    """Oversampling ratio of the sensor planes for one kind of object that fills the field.
+
+    Attributes
+    ----------
+    kind
+        Kind of the object: "amplitude", "phase" or "complex".
+    of_planes
+        Measurements of each plane alone for each real unknown of the object.
+    all_planes
+        Measurements of all planes together for each real unknown.
+    """
+
+    kind: str
+    of_planes: tuple[float, ...]
+    all_planes: float
+
+
 @dataclass(frozen=True, repr=False)
 class CheckReport:
     """Result of the check of a lens against its constraints.
@@ -98,6 +117,9 @@ class CheckReport:
         All constraints, met or not, each with its value and limit.
     sbp_object, sbp_sensor
         Space-bandwidth products of the object and of the sensor (Eq. 1).
+    oversampling
+        Oversampling ratio for each kind of object at the first wavelength
+        (:mod:`lensdesign.analysis.oversampling`).
     spread_limit_deg, max_spread_deg
         Largest angle to the axis that the pixels can sample, and largest angle of all rays behind the lens
         (Eq. 2); both at the wavelength of `worst_ray`.
@@ -187,6 +209,7 @@ class CheckReport:
     moulding: tuple[MouldingCheck, ...] = ()
     roughness: RoughnessReport | None = None
     coatings: tuple[CoatingReport, ...] = ()
+    oversampling: tuple[OversamplingRatio, ...] = ()
 
     @property
     def darkest(self) -> CoatingReport | None:
@@ -220,12 +243,24 @@ class CheckReport:
             rows.append(("scattered light", f"{100.0 * self.roughness.mean_fraction:.3g} %"))
         if (darkest := self.darkest) is not None and not darkest.is_ideal:
             rows.append(("transmittance on the axis", f"{100.0 * darkest.centre.transmittance:.2f} %"))
+        rows += [(f"oversampling, {name}", text) for name, text in self.oversampling_texts()]
         rows += [
             ("resolution", f"{self.resolution_um:.4g} µm"),
             ("effective, back focal length", f"{self.efl_mm:.4f}, {self.bfl_mm:.4f} mm"),
             ("exit beam diameter", f"{self.exit_beam_diameter_mm:.3f} mm"),
         ]
         return html_table(self.title or "Check", rows)
+
+    def oversampling_texts(self) -> tuple[tuple[str, str], ...]:
+        """Return names and values of the oversampling ratios: of each plane, and of all of them."""
+        return tuple(
+            (
+                f"{one.kind} object",
+                ", ".join(f"{ratio:.2f}" for ratio in one.of_planes)
+                + (f"; all planes {one.all_planes:.2f}" if len(one.of_planes) > 1 else ""),
+            )
+            for one in self.oversampling
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; values that are not finite become None."""

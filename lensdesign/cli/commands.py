@@ -122,6 +122,12 @@ def check(
     footprint on the sensor, the numerical aperture, throughput and the edge thickness. A specification
     (--against) replaces these constraints with its own, for its field, aperture, wavelengths and sensor.
 
+    The oversampling ratio extends Eq. 1 to recordings: measurements on the pixels of a plane for each real
+    unknown of an object that fills the field (one for an amplitude or phase object, two for a complex one,
+    times its space-bandwidth product). A plane has at most four, two for a complex object, since the
+    intensity has four times the degrees of freedom of the light. In theory 1 suffices for typical objects and
+    2 for every object; noise and the solver need more. It is printed for each plane and for all planes.
+
     Elements of plastic, and others that the design's [moulding] selects, are also checked for moulding:
     draft, gate, thicknesses, slopes and sags. A check without a stated value or a limit stays open. The
     limits that the design states are binding; published ones are guidelines.
@@ -351,6 +357,7 @@ def _print_check(report: CheckReport) -> None:
         ("narrowest beam that the etendue bound allows", f"{report.smallest_exit_beam_diameter_mm:.3f} mm"),
         ("fraction of the beam's etendue that the lens fills", f"{100.0 * report.etendue_share:.1f} %"),
     ]
+    rows += [(f"oversampling ratio, {name}", ratios) for name, ratios in report.oversampling_texts()]
     if (edge := report.drawn_edge) is not None:
         label = f"edge at the drawn ground diameter, {edge.drawn_diameter_mm:g} mm"
         rows.append((label, f"{edge.drawn_thickness_mm:.3f} mm"))

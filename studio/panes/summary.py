@@ -154,6 +154,7 @@ def _facts(report: CheckReport, lens: Lens) -> str:
     rows = [
         ("resolution", f"{report.resolution_um:.4g} µm"),
         ("SBP of the object", f"{report.sbp_object:.4e}"),
+        *((f"oversampling, {name}", ratios) for name, ratios in report.oversampling_texts()),
         ("etendue filled", f"{100.0 * report.etendue_share:.1f} %"),
         ("exit beam", f"{report.exit_beam_diameter_mm:.3f} mm"),
         ("narrowest allowed", f"{report.smallest_exit_beam_diameter_mm:.3f} mm"),

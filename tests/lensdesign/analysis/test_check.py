@@ -12,6 +12,7 @@ from places import DESIGNS
 
 from lensdesign import Lens, Surface
 from lensdesign.analysis.check import check_design
+from lensdesign.analysis.oversampling import oversampling_of
 from lensdesign.analysis.report import CheckReport
 
 
@@ -38,7 +39,8 @@ def test_the_report_shows_itself(report: CheckReport) -> None:
     assert repr(report).endswith("not met: 1, spread 4.8105 of 4.7682°, resolution 0.532 µm>")
     shown = report._repr_html_()
     assert "not met: 4.8105 ≤ 4.76821°" in shown
-    assert shown.count("<tr>") == len(report.constraints) + 3
+    assert shown.count("<tr>") == len(report.constraints) + len(report.oversampling) + 3
+    assert "0.79, 0.97; all planes 1.77" in shown
 
 
 def test_figures_of_the_paper_lens(report: CheckReport) -> None:
@@ -181,3 +183,21 @@ def test_a_check_without_refinement_is_near_the_one_with_it(name: str) -> None:
         assert near.name == exact.name
         assert near.value == pytest.approx(exact.value, rel=1e-3)
     assert quick.max_spread_deg < whole.max_spread_deg  # the search did something
+
+
+def test_ratios_of_the_report_are_those_of_the_oversampling_function(
+    paper_lens: Lens, report: CheckReport
+) -> None:
+    assert [one.kind for one in report.oversampling] == ["amplitude", "phase", "complex"]
+    for one in report.oversampling:
+        found = oversampling_of(paper_lens, one.kind)  # type: ignore[arg-type]
+        assert one.of_planes == pytest.approx(found.ratio_of_planes, rel=1e-12)
+        assert one.all_planes == pytest.approx(found.ratio, rel=1e-12)
+
+
+def test_ratio_of_one_plane_is_pixels_in_its_footprint_over_unknowns(report: CheckReport) -> None:
+    pixels = [math.pi * (radius / 3.2e-3) ** 2 for radius in report.footprint_radius_mm]
+    for one, unknowns in zip(report.oversampling, (1.0, 1.0, 2.0), strict=True):
+        expected = [count / (unknowns * report.sbp_object) for count in pixels]
+        assert one.of_planes == pytest.approx(expected, rel=1e-6)
+    assert report.as_dict()["oversampling"][2]["of_planes"] == list(report.oversampling[2].of_planes)

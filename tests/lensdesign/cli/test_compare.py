@@ -10,6 +10,7 @@ from places import DESIGNS
 from programs import Command
 
 from lensdesign import load_design
+from lensdesign.analysis.oversampling import oversampling_of
 from lensdesign.lens.solid import glass_elements
 
 PAPER, FEASIBLE = DESIGNS / "paper_singlet.toml", DESIGNS / "feasible_singlet.toml"
@@ -45,6 +46,8 @@ def test_json_has_numbers_yield_and_cost(command: Command) -> None:
     assert paper["values"]["largest spread angle (Eq. 2), °"] == pytest.approx(4.8105, abs=1e-3)
     assert paper["met"]["largest spread angle (Eq. 2), °"] is False
     assert all(feasible["met"].values())
+    ratio = oversampling_of(load_design(PAPER), "complex").ratio
+    assert paper["values"]["oversampling, complex object, all planes"] == pytest.approx(ratio, rel=1e-6)
     assert 0.0 <= paper["as_built"]["yield"] <= 1.0
     assert paper["as_built"]["cost"] > 1.0
 
