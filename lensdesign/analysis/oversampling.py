@@ -166,6 +166,40 @@ def measurements_in_light(
     return min(pixels, INTENSITY_DEGREES * degrees_of_freedom)
 
 
+def largest_oversampling(
+    kind: ObjectKind,
+    frames: int,
+    light_diameter_mm: float,
+    pixel_pitch_um: float,
+    degrees_of_freedom: float,
+) -> float:
+    """Return the oversampling ratio of frames that light of a diameter fills, whatever the lens.
+
+    Parameters
+    ----------
+    kind
+        "amplitude", "phase" or "complex".
+    frames
+        Number of frames, each on a plane of its own.
+    light_diameter_mm
+        Largest diameter of the light on the sensor.
+    pixel_pitch_um
+        Pixel pitch.
+    degrees_of_freedom
+        Space-bandwidth product of the object's light.
+
+    Examples
+    --------
+    No frame gives a complex object more than two measurements for each unknown:
+
+    >>> largest_oversampling("complex", 1, 22.4, 0.1, 1.96e7)
+    2.0
+    """
+    sides = (light_diameter_mm, light_diameter_mm)
+    measured = measurements_in_light(light_diameter_mm, sides, pixel_pitch_um, degrees_of_freedom)
+    return frames * measured / (UNKNOWNS_OF_KIND[kind] * degrees_of_freedom)
+
+
 def oversampling_of(
     lens: Lens,
     kind: ObjectKind = "complex",

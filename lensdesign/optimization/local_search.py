@@ -201,7 +201,12 @@ def dense_rays(problem: DesignProblem) -> Rays:
 
 
 def _heights(problem: DesignProblem) -> tuple[float, ...]:
-    return tuple(f.field_mm for f in problem.specification.constraints.field_spread)
+    """Return the field heights at which constraints are evaluated, besides those of the sampling."""
+    specification = problem.specification
+    recording = specification.recording
+    support = None if recording is None else recording.support_mm
+    edge = () if support is None else (0.5 * support,)
+    return (*(f.field_mm for f in specification.constraints.field_spread), *edge)
 
 
 def _algorithm_sequence(algorithm: str) -> tuple[str, ...]:

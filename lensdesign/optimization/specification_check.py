@@ -17,6 +17,7 @@ from lensdesign.analysis.check import ROUNDING, capped_sine, check_design, const
 from lensdesign.analysis.double_reflections import ghost_paths
 from lensdesign.analysis.exit_beam import largest_spread_angle, spread_angle_and_footprints
 from lensdesign.analysis.outline import drawn_edge_thicknesses_mm
+from lensdesign.analysis.oversampling import oversampling_of
 from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import number_with_unit
@@ -92,9 +93,9 @@ def body_constraints(lens: Lens, specification: Specification) -> tuple[Constrai
 
 
 def _light(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
-    """Return the constraints on spread, footprint and throughput."""
+    """Return the constraints on spread, footprint, throughput and oversampling."""
     spread, footprints = _spread(lens, specification, report), _footprints(lens, specification, report)
-    return [*spread, *footprints, _throughput(specification, report)]
+    return [*spread, *footprints, _throughput(specification, report), *_oversampling(lens, specification)]
 
 
 def _light_in_heat(lens: Lens, specification: Specification) -> list[Constraint]:
@@ -186,6 +187,27 @@ def _footprints(lens: Lens, specification: Specification, report: CheckReport) -
 
 def _throughput(specification: Specification, report: CheckReport) -> Constraint:
     return _at_least("throughput", report.throughput, specification.constraints.min_throughput, "")
+
+
+def _oversampling(lens: Lens, specification: Specification) -> list[Constraint]:
+    """Return the constraint on the oversampling ratio at the wavelength where it is smallest."""
+    recording = specification.recording
+    if recording is None:
+        return []
+    planes_mm = lens.sensor.plane_distances_mm[: recording.frames]
+    ratio = min(
+        oversampling_of(
+            lens,
+            recording.object,
+            support_mm=recording.support_mm,
+            plane_distances_mm=planes_mm,
+            wavelengths_um=(wavelength,),
+        ).ratio
+        for wavelength in lens.wavelengths_um
+    )
+    frames = "1 frame" if recording.frames == 1 else f"{recording.frames} frames"
+    name = f"oversampling ratio, {recording.object} object, {frames}"
+    return [_at_least(name, ratio, recording.oversampling, "")]
 
 
 def _aperture(lens: Lens, specification: Specification, report: CheckReport) -> Constraint:

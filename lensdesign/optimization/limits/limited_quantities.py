@@ -47,7 +47,13 @@ def _with_object(specification: Specification, **changes: float) -> Specificatio
     scene = specification.object.replaced(**changes)
     limits, half = specification.constraints, 0.5 * scene.field_diameter_mm
     kept = tuple(limit for limit in limits.field_spread if limit.field_mm <= half)
-    return specification.replaced(object=scene, constraints=limits.replaced(field_spread=kept))
+    recording = specification.recording
+    if recording is not None and recording.support_mm is not None:
+        within = min(recording.support_mm, scene.field_diameter_mm)
+        recording = recording.replaced(support_mm=within)
+    return specification.replaced(
+        object=scene, constraints=limits.replaced(field_spread=kept), recording=recording
+    )
 
 
 def _with_pitch(specification: Specification, pitch_um: float) -> Specification:

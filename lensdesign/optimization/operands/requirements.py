@@ -9,6 +9,8 @@ import math
 
 import numpy as np
 
+from lensdesign.analysis.oversampling import INTENSITY_DEGREES, UNKNOWNS_OF_KIND, measurements_in_light
+from lensdesign.analysis.space_bandwidth import sbp_object
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
@@ -96,7 +98,7 @@ def ray_constraint_operands(specification: Specification, state: State, final: b
 
 
 def _light_rows(specification: Specification, state: State, limited: bool) -> list[Operand]:
-    """Return the constraints on spread, footprint and throughput at each wavelength."""
+    """Return the constraints on spread, footprint, throughput and oversampling at each wavelength."""
     rows: list[Operand] = []
     for wavelength, trace in zip(specification.wavelengths_um, state.traces, strict=True):
         rows += _spread_rows(specification, state, wavelength, trace, limited)
@@ -108,6 +110,7 @@ def _light_rows(specification: Specification, state: State, limited: bool) -> li
         if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
             rows += _rectangle_rows(specification, state, wavelength, trace)
         rows += _throughput_rows(specification, state, wavelength, trace)
+        rows += _oversampling_rows(specification, state, wavelength, trace)
     return rows
 
 
@@ -235,6 +238,44 @@ def _throughput_rows(
         order = own[np.argsort(values[own])]
         picked.append(order[math.ceil(fraction * len(order)) - 1])
     return [Operand(name, values[picked], by[picked], np.array(picked))]
+
+
+def _oversampling_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace
+) -> list[Operand]:
+    """Return the constraint on the oversampling ratio of the recording.
+
+    The light on a plane reaches as far as the outermost ray of the support. Rays between those of the set
+    may reach farther, so the ratio of the lens is at least the one that is limited here.
+    """
+    recording = specification.recording
+    if recording is None:
+        return []
+    scene, sensor = state.lens.object, specification.sensor
+    support = scene.field_diameter_mm if recording.support_mm is None else recording.support_mm
+    inside = np.linalg.norm(state.fields_mm, axis=-1) <= 0.5 * support * (1.0 + 1e-9)
+    degrees = sbp_object(support, scene.numerical_aperture, wavelength)
+    unknowns = degrees * UNKNOWNS_OF_KIND[recording.object]
+    log_size_by = np.array(
+        [float(v.kind == "log_field" and recording.support_mm is None) for v in state.variables]
+    )
+    name = _named("oversampling ratio", wavelength, state)
+    if not (trace.ok & inside).any():
+        return [finite_operand(name, np.array([np.inf]), np.zeros((1, len(state.variables))))]
+    ratio, ratio_by = 0.0, np.zeros(len(state.variables))
+    for plane in range(recording.frames):
+        squares, squares_by = squares_of(trace.plane_points[:, plane], trace.plane_points_by[:, plane])
+        outermost = int(np.argmax(np.where(trace.ok & inside, squares, -1.0)))
+        light = 2.0 * math.sqrt(squares[outermost])
+        counted = measurements_in_light(light, sensor.size_mm, sensor.pixel_pitch_um, degrees)
+        ratio += counted / unknowns
+        if counted < INTENSITY_DEGREES * degrees:
+            # pixels over unknowns: proportional to the square of the light over that of the size
+            ratio_by -= 2.0 * counted / unknowns * log_size_by
+            if light < min(sensor.size_mm):
+                ratio_by += counted / unknowns * squares_by[outermost] / squares[outermost]
+    required = recording.oversampling
+    return [finite_operand(name, np.array([1.0 - ratio / required]), -ratio_by[None] / required)]
 
 
 def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Operand:

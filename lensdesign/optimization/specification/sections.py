@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.analysis.oversampling import ObjectKind
 from lensdesign.common.frozen_model import FrozenModel, Positive
 from lensdesign.lens.catalogues.thermal import COLDEST_C, HOTTEST_C, REFERENCE_C
 from lensdesign.lens.temperature import ALUMINIUM_PER_K
@@ -90,6 +91,27 @@ class Constraints(FrozenModel):
     max_as_built_rms_waves: Positive | None = None
     max_as_built_reconstruction_loss: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     max_ghost_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+
+
+class Recording(FrozenModel):
+    """Recording from which the object must be found.
+
+    Attributes
+    ----------
+    frames
+        Number of the sensor planes, from the first, on which a frame is recorded.
+    object
+        Kind of the object: ``amplitude``, ``phase`` or ``complex``.
+    oversampling
+        Smallest oversampling ratio (:func:`lensdesign.analysis.oversampling_of`) at each wavelength.
+    support_mm
+        Diameter of the part of the object that is unknown (default: the field).
+    """
+
+    frames: Annotated[int, Field(ge=1, le=1000)]
+    object: ObjectKind
+    oversampling: Positive
+    support_mm: Positive | None = None
 
 
 class Tolerances(FrozenModel):

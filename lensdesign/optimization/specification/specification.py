@@ -13,6 +13,12 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from lensdesign.analysis.oversampling import (
+    INTENSITY_DEGREES,
+    UNKNOWNS_OF_KIND,
+    largest_oversampling,
+)
+from lensdesign.analysis.space_bandwidth import sbp_object
 from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
@@ -27,6 +33,7 @@ from lensdesign.optimization.specification.sections import (
     LOSS_GOAL,
     Constraints,
     Environment,
+    Recording,
     Settings,
     Tolerances,
 )
@@ -48,6 +55,8 @@ class Specification(Lens):
         Manufacturing tolerances; None if neither goal nor constraints concern lenses as built.
     environment
         Further temperatures at which the constraints hold; None means the design temperature alone.
+    recording
+        Frames from which a kind of object must be found; None sets no constraint on them.
     variables
         Variables with their bounds or choices.
 
@@ -65,6 +74,7 @@ class Specification(Lens):
     constraints: Constraints = Constraints()
     tolerances: Tolerances | None = None
     environment: Environment | None = None
+    recording: Recording | None = None
     variables: Annotated[tuple[VariableRange, ...], Field(alias="variable", min_length=1)]
 
     @model_validator(mode="after")
@@ -106,6 +116,7 @@ class Specification(Lens):
                 f"{len(self.sensor.plane_distances_mm)} sensor planes; give one for each plane, or a single "
                 "one"
             )
+        self._check_recording()
         for limit in self.constraints.field_spread:
             if limit.field_mm > self.half_field_mm:
                 raise ValueError(
@@ -113,6 +124,29 @@ class Specification(Lens):
                     f"{self.half_field_mm:g} mm"
                 )
         return self
+
+    def _check_recording(self) -> None:
+        """Refuse frames that the sensor does not have, and a support that the field does not contain."""
+        if self.recording is None:
+            return
+        frames, planes = self.recording.frames, len(self.sensor.plane_distances_mm)
+        if frames > planes:
+            raise ValueError(
+                f"recording, frames = {frames}: the sensor has {planes} plane{'s'[: planes > 1]}; reduce "
+                "frames, or add to plane_distances_mm"
+            )
+        support, field = self.recording.support_mm, self.object.field_diameter_mm
+        if support is None:
+            return
+        if self.field_range_mm is not None:
+            raise ValueError(
+                "recording, support_mm: cannot be combined with a variable field_diameter_mm, which is the "
+                "support; remove one of both"
+            )
+        if support > field:
+            raise ValueError(
+                f"recording, support_mm = {support:g}: must not exceed the field of {field:g} mm"
+            )
 
     def _check_variable_field(self) -> None:
         """Refuse what belongs to fixed object points, which a variable field may leave."""
@@ -344,13 +378,17 @@ def validate_known(specification: Specification, surface: int, glass: str | floa
 
 
 def validate_possible(specification: Specification) -> None:
-    """Check the etendue bound: FOV x NA (the Lagrange invariant) must fit footprint and spread limit.
+    """Check the bounds that hold for every lens.
+
+    By the etendue bound, FOV x NA (the Lagrange invariant) must fit footprint and spread limit. The
+    oversampling ratio of a recording is largest if light fills the footprint on each of its planes.
 
     Raises
     ------
     DesignError
         If no lens can meet the specification; the message has the numbers.
     """
+    _validate_oversampling(specification)
     scene = specification.required_object
     invariant = scene.field_diameter_mm * scene.numerical_aperture
     sine = min(specification.spread_limit(w) for w in specification.wavelengths_um)
@@ -366,3 +404,60 @@ def validate_possible(specification: Specification) -> None:
             f"{sine:.5g} = {invariant / sine:.4g} mm wide, but the footprint may be only {widest:.4g} mm; "
             "reduce field or NA, or allow a larger footprint or spread"
         )
+
+
+def _validate_oversampling(specification: Specification) -> None:
+    """Check that light which fills the footprint on every plane gives the required oversampling ratio.
+
+    Raises
+    ------
+    DesignError
+        If no lens can reach it; the message states the limit of each value that could give way.
+    """
+    recording = specification.recording
+    if recording is None:
+        return
+    scene, kind, required = specification.required_object, recording.object, recording.oversampling
+    article = "a" if kind in ("phase", "complex") else "an"
+    unknowns = UNKNOWNS_OF_KIND[kind]
+    highest = INTENSITY_DEGREES / unknowns
+    frames = recording.frames
+    if required > frames * highest * (1.0 + 1e-9):
+        least = math.ceil(required / highest - 1e-9)
+        raise DesignError(
+            f"infeasible: recording, oversampling = {required:g}: {article} {kind} object has at most "
+            f"{highest:g} measurements for each unknown in a frame, because its intensity has only "
+            f"{INTENSITY_DEGREES} times the degrees of freedom of its light; {_counted(frames)} can give "
+            f"{frames * highest:g}, with any field, support, NA and pixel pitch; record at least {least} "
+            f"frames, or require at most {frames * highest:g}"
+        )
+    half_mm = min(0.5 * min(specification.sensor.size_mm), *specification.footprint_limits())
+    wavelength, pitch = min(specification.wavelengths_um), specification.sensor.pixel_pitch_um
+    size_mm = scene.field_diameter_mm if recording.support_mm is None else recording.support_mm
+    name = "field" if recording.support_mm is None else "support"
+    degrees = sbp_object(size_mm, scene.numerical_aperture, wavelength)
+    largest = largest_oversampling(kind, frames, 2.0 * half_mm, pitch, degrees)
+    if required <= largest * (1.0 + 1e-9):
+        return
+    # Pixels limit the ratio here, which is proportional to frames / (size NA pitch)^2.
+    factor = math.sqrt(largest / required)
+    pixels = largest / frames * unknowns * degrees
+    raise DesignError(
+        f"infeasible: recording, oversampling = {required:g}: the {pixels:.4g} pixels in a circle of "
+        f"{2.0 * half_mm:.4g} mm give {article} {kind} object of {size_mm:g} mm at NA "
+        f"{scene.numerical_aperture:g} and {wavelength:g} µm at most {largest:.4g} measurements for each "
+        f"unknown in {_counted(frames)}, whatever the lens; one of these must give way: the {name} at most "
+        f"{_floored(factor * size_mm)} mm, or NA at most {_floored(factor * scene.numerical_aperture)}, or "
+        f"pixel_pitch_um at most {_floored(factor * pitch)}, or at least "
+        f"{math.ceil(frames * required / largest - 1e-9)} frames"
+    )
+
+
+def _counted(frames: int) -> str:
+    return "one frame" if frames == 1 else f"{frames} frames"
+
+
+def _floored(value: float) -> str:
+    """Return a value with four digits, rounded down."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 3)
+    return f"{math.floor(value / step * (1.0 + 1e-12)) * step:.4g}"

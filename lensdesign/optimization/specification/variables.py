@@ -86,6 +86,11 @@ class VariableRange(FrozenModel):
             return LENGTHS[self.parameter]
         if self.parameter in parameters():
             return term_of(self.parameter)
+        if self.parameter in ("pixel_pitch_um", "numerical_aperture"):
+            raise ValueError(
+                f"parameter = {self.parameter!r}: is fixed in a search; `lensdesign limits` finds the "
+                "largest one with which the constraints can be met"
+            )
         allowed = ", ".join([*parameters(), *LENGTHS, "material", "stop"])
         raise ValueError(f"parameter = {self.parameter!r}: unknown; allowed: {allowed}")
 
