@@ -44,7 +44,8 @@ demo: $(READY)
 	  echo "It took $$(( seconds / 60 )) min $$(( seconds % 60 )) s."
 
 # The lenses of docs/gallery.md from their specifications, with pictures, meshes and drawings: two minutes.
-GALLERY := feasible_singlet thinnest_singlet moulded_pair wide_field phone_lens q_type_lens stock_pair rectangular_sensor
+GALLERY := feasible_singlet thinnest_singlet moulded_pair wide_field phone_lens q_type_lens stock_pair rectangular_sensor \
+  single_complex single_phase
 
 gallery: $(READY)
 	@mkdir -p $(OUT)/gallery

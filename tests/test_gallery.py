@@ -34,6 +34,8 @@ OURS = (
     "q_type_lens",
     "stock_pair",
     "rectangular_sensor",
+    "single_complex",
+    "single_phase",
 )
 LENSES = ("paper_singlet", *OURS)
 # Lenses whose terms may change together without a change of their goal.

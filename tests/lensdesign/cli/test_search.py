@@ -83,3 +83,25 @@ def test_the_lens_at_each_limit_is_written(
     code, said = searched("limits", SPEC, "-o", tmp_path / "limits")
     assert "spread" in said
     assert f"wrote {first['design']}" in said.replace("\n", "")
+
+
+def test_a_recording_is_optimized_and_checked_or_refused_with_what_gives_way(
+    tmp_path: Path, searched: Searched
+) -> None:
+    design = (DESIGNS / "feasible_singlet_spec.toml").read_text()
+    recording = '\n[recording]\nframes = 2\nobject = "complex"\noversampling = {}\n'
+    spec, lens = tmp_path / "spec.toml", tmp_path / "lens.toml"
+    spec.write_text(design + recording.format(1.7))
+    code, said = searched("optimize", spec, "-o", lens, "--json")
+    assert code == 0, said
+    constraints = {one["name"]: one for one in json.loads(said)["constraints"]}
+    ratio = constraints["oversampling ratio, complex object, 2 frames"]
+    assert ratio["limit"] == 1.7 <= ratio["value"]
+    code, said = searched("check", lens, "--against", spec, "--json")
+    assert code == 0
+    checked = {one["name"]: one for one in json.loads(said)["constraints"]}
+    assert checked["oversampling ratio, complex object, 2 frames"]["value"] == pytest.approx(ratio["value"])
+    spec.write_text(design + recording.format(4.5))
+    code, said = searched("optimize", spec, "-o", lens)
+    assert code == 2
+    assert "record at least 3 frames" in said
