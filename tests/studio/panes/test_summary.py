@@ -7,9 +7,10 @@ from html import unescape
 
 import panel as pn
 
+from lensdesign.analysis.oversampling import oversampling_of
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.panes.summary import as_built
+from studio.panes.summary import as_built, findings
 
 
 def shown_text(pane: pn.viewable.Viewable) -> str:
@@ -29,3 +30,15 @@ def test_limits_and_perturbations_are_named_in_words(paper_lens: Lens) -> None:
     assert re.search(r"largest spread at most \S+°", shown)
     assert "decenter y" in shown
     assert not re.search(r"\w_\w|\b(deg|mm) \d+ %", shown)
+
+
+def test_oversampling_ratios_are_those_of_the_check(paper_lens: Lens) -> None:
+    bench = Workbench(paper_lens)
+    try:
+        bench.settle()
+        shown = shown_text(findings(bench))
+    finally:
+        bench.close()
+    found = oversampling_of(paper_lens, "complex")
+    near, far = found.ratio_of_planes
+    assert f"oversampling, complex object {near:.2f}, {far:.2f}; all planes {found.ratio:.2f}" in shown
