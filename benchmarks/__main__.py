@@ -44,6 +44,7 @@ SCRIPTS = (
     "refocusing",
     "uncertainty",
     "roughness",
+    "single_exposure_lenses",
     "verdicts",
     "plan_outcomes",
     "calibration_errors",

@@ -1,10 +1,10 @@
 """Objects from one exposure with the lenses that are designed for it, at their own size.
 
-Each lens of `LENSES` records one frame on one plane with one exposure: 12 bits, 10,000 electrons of full well,
-2 electrons of read noise. It is mounted with errors. The frame is made with a finer engine than that of the
-reconstruction, and on pixels of a third of the pitch whose means are taken and to which noise of its own is
-added. The bench is calibrated from this frame, and the object is reconstructed as it is mounted. All other
-settings are the defaults of the commands.
+Each lens of `LENSES` records one frame on one plane with one exposure: 12 bits, a full well of 10,000
+electrons, 2 electrons of read noise. A diffuser lights the object, so that the light fills the sensor evenly.
+The lens is mounted with errors. The frame is made with a finer engine than that of the reconstruction, and on
+pixels of a third of the pitch whose means are taken and to which noise of its own is added. The mounting is
+calibrated from this frame, and the object is reconstructed from it.
 
     python -m benchmarks.single_exposure_lenses                    all lenses
     python -m benchmarks.single_exposure_lenses phase --scale 0.5  one of them, as a twin of half its size
@@ -158,9 +158,7 @@ def measured(case: Case, scale: float = 1.0, seed: int = 5) -> list[Row]:
         settings: dict[str, Any] = {"kind": case.kind, "patch_mm": field_mm, "field_stop_mm": field_mm}
         settings |= {"engine": "eikonal", "error": ENGINE_ERROR} | case.light
         designed = reconstruct_frames(lens, (frame,), truth=true, **settings)
-        state = calibrate_frames(
-            lens, (frame,), assess=False, parameters="mounting", **settings
-        ).state
+        state = calibrate_frames(lens, (frame,), assess=False, parameters="mounting", **settings).state
         found = reconstruct_frames(lens, (frame,), truth=true, calibration=state, **settings)
     print(f"verdict: {found.verdict.words}")
     return [
@@ -191,7 +189,9 @@ def main() -> None:
     given = parser.parse_args()
     for name in given.lenses or LENSES:
         case = LENSES[name]
-        print_table(f"{case.design} at {given.scale:g} of its size: one exposure", measured(case, given.scale))
+        print_table(
+            f"{case.design} at {given.scale:g} of its size: one exposure", measured(case, given.scale)
+        )
 
 
 if __name__ == "__main__":
