@@ -123,6 +123,20 @@ class FoundColours:
         For each wavelength, the comparison with the true object; empty without one.
     heights : Heights or None
         Height of a film with its deviation, for each sample.
+    repeats : tuple of ndarray
+        Transmissions, shape (wavelengths, ny, nx), that repeats with other noise have found; empty without
+        heights.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image, reconstruct_colours
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> patch = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    >>> taken = image(lens, "star", wavelengths_um=(0.532, 0.635), planes_mm=(0.03, 0.3), **patch)
+    >>> found = reconstruct_colours(lens, taken.frames, kind="amplitude", iterations=2, **patch)
+    >>> found.wavelengths_um, len(found.transmissions), found.planes[0].is_mosaic
+    ((0.532, 0.635), 2, False)
     """
 
     settings: ColourSettings
