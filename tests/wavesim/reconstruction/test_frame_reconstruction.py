@@ -91,8 +91,9 @@ def test_one_frame_gives_a_phase_object_and_not_a_complex_one() -> None:
         kind: reconstruct_frames(lens, taken.frames, kind=kind, truth=truth, error=0.05, **common)
         for kind in ("phase", "complex")
     }
-    assert (reached["phase"].truth["object_correlation"] or 0.0) > 0.96
-    assert (reached["complex"].truth["object_correlation"] or 0.0) < 0.93
+    phase, complex_ = (reached[kind].truth["object_correlation"] or 0.0 for kind in ("phase", "complex"))
+    assert phase > 0.96
+    assert complex_ < phase - 0.03
     found = reached["phase"].transmission.values
     np.testing.assert_allclose(np.abs(found[taken.patch.inside]), 1.0, atol=1e-5)
 
