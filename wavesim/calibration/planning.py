@@ -9,13 +9,19 @@ and the correlation compares this error with the light that the object changes. 
 little light. Most of its error is smooth phase, which the planes hardly determine: iterations reach the
 noise before smooth phase has converged. Each plan is therefore tried with several objects
 (:data:`TRIAL_OBJECTS`), and the prediction is the range of their correlations.
+
+Where the user describes the object by an example, the prediction is a single value. The example is tried like
+the other objects, with two draws of the noise. A twin that is smaller than the patch images the middle of the
+example, in which details have their own size. The middle may change more or less of the light than the whole
+example, and the error is scaled by the ratio of both.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -32,7 +38,10 @@ from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction.diagnostics.held_out import hold_out
-from wavesim.reconstruction.object_solver import reconstruct
+from wavesim.reconstruction.growing_aperture import with_growing_aperture
+from wavesim.reconstruction.information import Information, WhitenedJacobian, information_of
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
+from wavesim.reconstruction.oversampling import measured_oversampling
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
@@ -40,15 +49,24 @@ from wavesim.scene.settings import ITERATIONS, Kind, PatchSettings, PlanSettings
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.imaging import image
-from wavesim.sensor.measurement import noise_misfit
+from wavesim.sensor.measurement import Measurement, noise_misfit
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import TILE_ERROR, diversity, exit_scene, footprint_mm
-from wavesim.targets.patch import Patch, lit, object_patch
+from wavesim.targets.patch import Patch, lit, make_target, object_patch
 
 MOST_PIXELS, MOST_SAMPLES = 144, 192
 """Largest number of pixels across the light on the farthest plane, and of object samples along a side, of a
 twin.
 """
+
+EXAMPLE = "described"
+"""Name of the user's example among the objects of a plan."""
+
+EXAMPLE_SAMPLES = 1024
+"""Largest number of samples along a side of an example."""
+
+DRAWS = 2
+"""Draws of the noise with which an example is tried."""
 
 EXPLAINED = 1.2
 """Misfit over that of the noise up to which an object explains the frames of a plan."""
@@ -166,7 +184,8 @@ class Plan:
         Exposure times of each plane; 1 gives the peak fill of the brightest pixel.
     correlation : float
         Lowest correlation between the reconstructed and the true object
-        (:func:`wavesim.metrics.contrast.object_correlation`), of all trial objects.
+        (:func:`wavesim.metrics.contrast.object_correlation`), of all trial objects, without the described
+        one.
     misfit_over_noise : float
         Misfit of the frames over that of their noise, for the object that is explained worst. A value far
         above 1 means that the object was not found.
@@ -177,6 +196,17 @@ class Plan:
     smooth_fraction : float
         Fraction of the squared error with less than `SMOOTH_CYCLES` cycles across the patch, for the object
         with the lowest correlation.
+    predicted : float
+        Predicted correlation of the described object; NaN without a description.
+    misfit_of_example : float
+        Misfit over that of the noise for the described object.
+    ratio : float
+        Oversampling ratio: pixels in the light for each real unknown of the object, on the twin's frames of
+        the object for which the ratio is lowest
+        (:func:`wavesim.reconstruction.oversampling.measured_oversampling`).
+    information : Information or None
+        Information about the described object, or else about the first trial object, against the noise
+        (:mod:`wavesim.reconstruction.information`).
     """
 
     planes_mm: tuple[float, ...]
@@ -186,6 +216,15 @@ class Plan:
     iterations: int
     by_object: Mapping[str, float] = field(default_factory=dict)
     smooth_fraction: float = math.nan
+    predicted: float = math.nan
+    misfit_of_example: float = math.nan
+    ratio: float = math.nan
+    information: Information | None = None
+
+    @property
+    def expected(self) -> float:
+        """Predicted correlation of the described object, or else the lowest one of all trial objects."""
+        return self.predicted if math.isfinite(self.predicted) else self.correlation
 
     @property
     def frames(self) -> int:
@@ -222,6 +261,10 @@ class Plans:
     engine_error : float
         Upper bound of the engine's relative error on the nearest plane. It is not part of the prediction,
         since the same engine makes the frames and reconstructs.
+    example : str
+        Name of the described object; empty without a description.
+    example_strength : float
+        Rms fraction of the amplitude that the whole described object changes; NaN without a description.
     """
 
     settings: PlanSettings
@@ -230,6 +273,8 @@ class Plans:
     plans: tuple[Plan, ...]
     strengths: Mapping[str, float] = field(default_factory=dict)
     engine_error: float = math.nan
+    example: str = ""
+    example_strength: float = math.nan
 
     @property
     def assumptions(self) -> tuple[str, ...]:
@@ -238,9 +283,12 @@ class Plans:
         objects = "; ".join(
             f"{name} ({TRIAL_OBJECTS[name].description}, changes {strength:.2g} of the light's amplitude)"
             for name, strength in self.strengths.items()
+            if name in TRIAL_OBJECTS
         )
+        of = "the described object" if self.example else f"object {next(iter(self.strengths))!r}"
         lines = [
             f"Objects of kind {chosen.kind}: {objects}. A weaker object has a lower correlation.",
+            *self._about_example(),
             f"Sensor: full well {chosen.full_well_electrons:g} electrons, read noise "
             f"{chosen.read_noise_electrons:g} electrons, {chosen.bits} bits; one draw of the noise. "
             "Where the correlation is below 0.9, another draw may change it by 0.03.",
@@ -248,6 +296,9 @@ class Plans:
             f"Engine: the same one makes the frames and reconstructs. Its own error (at most "
             f"{self.engine_error:.2g}) is not included.",
             f"Reconstruction: at most {ITERATIONS['object']} iterations, which end at the noise.",
+            "Pixels for each unknown: those with more light than noise, on the twin's frames of the object "
+            f"with the fewest. Determined: fraction of the unknowns of {of} that noise leaves determined "
+            "near the true object, without other knowledge of it.",
         ]
         if self.twin.scale < 1.0:
             # Fraction of the lens's diversity above which that of a twin counts as the same.
@@ -270,23 +321,35 @@ class Plans:
             )
         return tuple(lines)
 
+    def _about_example(self) -> tuple[str, ...]:
+        """Return a sentence about the described object, if there is one."""
+        if not self.example:
+            return ()
+        tried, whole = self.strengths[EXAMPLE], self.example_strength
+        return (
+            f"Described object: {self.example}, changes {whole:.2g} of the light's amplitude; the twin "
+            f"images a part that changes {tried:.2g}. {DRAWS} draws of the noise.",
+        )
+
     @property
     def enough(self) -> bool:
         """True if a plan reaches the requested correlation."""
-        return self.recommended.correlation >= self.settings.correlation
+        return self.recommended.expected >= self.settings.correlation
 
     @property
     def at_noise(self) -> bool:
         """True if the frames of the recommended plan are explained up to their noise."""
-        return self.recommended.misfit_over_noise <= EXPLAINED
+        best = self.recommended
+        return (best.misfit_of_example if self.example else best.misfit_over_noise) <= EXPLAINED
 
     @property
     def recommended(self) -> Plan:
-        """Plan with the fewest frames that reaches the requested correlation, or the best one if none
-        does.
+        """Plan with the fewest frames that reaches the requested correlation, or the best one if none does.
+
+        The described object decides, or else the trial object with the lowest correlation.
         """
-        reaching = [plan for plan in self.plans if plan.correlation >= self.settings.correlation]
-        return reaching[0] if reaching else max(self.plans, key=lambda plan: plan.correlation)
+        reaching = [plan for plan in self.plans if plan.expected >= self.settings.correlation]
+        return reaching[0] if reaching else max(self.plans, key=lambda plan: plan.expected)
 
     def __repr__(self) -> str:
         return f"Plans({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -297,19 +360,26 @@ class Plans:
     def _rows(self) -> list[tuple[str, str]]:
         best = self.recommended
         planes = ", ".join(f"{z:.4g}" for z in best.planes_mm)
+        expected = f"{best.correlation:.4f} to {best.highest_correlation:.4f}"
+        if self.example:
+            expected = f"{best.predicted:.4f} for {self.example}"
         return [
             ("plans", f"{len(self.plans)}, for an object of kind {self.settings.kind}"),
             ("planes", f"{planes} mm, exposures {', '.join(f'{e:g}' for e in best.exposures)}"),
             (
                 "correlation",
-                f"{best.correlation:.4f} to {best.highest_correlation:.4f}"
-                f"{'' if self.enough else ', below the requested correlation'}",
+                f"{expected}{'' if self.enough else ', below the requested correlation'}",
             ),
         ]
 
 
 def plan_frames(
-    lens: Lens, settings: PlanSettings | None = None, *, progress: Progress | None = None, **changes: Any
+    lens: Lens,
+    settings: PlanSettings | None = None,
+    *,
+    example: str | Field | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
 ) -> Plans:
     """Predict the quality of reconstructions from different numbers of planes and exposures.
 
@@ -319,6 +389,10 @@ def plan_frames(
         The nominal lens.
     settings
         All settings; default: `PlanSettings()`.
+    example
+        An example of the objects that will be imaged: the name of a built-in object or the path of a picture,
+        as :func:`wavesim.image` accepts them, or a transmission with the samples of the patch. Each plan then
+        has a predicted correlation of its own for it.
     progress
         Callback `progress(stage, completed, total)` with the number of plans.
     **changes
@@ -350,9 +424,64 @@ def plan_frames(
     ]
     candidates.sort(key=lambda plan: (len(plan[0]) * len(plan[1]), len(plan[0])))
     targets = random_objects(small, settings)
-    return predicted_plans(
+    whole = None if example is None else _example(lens, patch, example, settings)
+    if whole is not None:
+        targets[EXAMPLE] = _middle(whole, small)
+    plans = predicted_plans(
         small_lens, targets, settings, twin, candidates, diversity(lens, patch, (near, far)), progress
     )
+    if whole is None:
+        return plans
+    stop = replace(patch, grid=whole.grid, field_stop_mm=min(patch.field_stop_mm, _side_mm(whole)))
+    strength = _strength(whole.values[stop.inside])
+    if strength == 0.0:
+        raise InputError("example: changes no light; the correlation of such an object is not defined")
+    return replace(
+        plans,
+        plans=tuple(_of_strength(plan, plans.strengths[EXAMPLE] / strength) for plan in plans.plans),
+        example=example if isinstance(example, str) else "the given transmission",
+        example_strength=strength,
+    )
+
+
+def _side_mm(field: Field) -> float:
+    return min(field.grid.shape) * field.grid.pitch_mm
+
+
+def _example(lens: Lens, patch: Patch, example: str | Field, settings: PlanSettings) -> Field:
+    """Return the transmission of an example on a patch of the lens, of `EXAMPLE_SAMPLES` at most."""
+    if isinstance(example, Field):
+        if example.grid.shape != patch.grid.shape or not math.isclose(
+            example.grid.pitch_mm, patch.grid.pitch_mm, rel_tol=1e-6
+        ):
+            raise InputError(f"example: its grid {example.grid} is not the patch's {patch.grid}")
+        return example
+    widest_mm = EXAMPLE_SAMPLES * patch.grid.pitch_mm
+    if patch.field_stop_mm > widest_mm:
+        patch = object_patch(lens, widest_mm, wavelength_um=settings.wavelength_um)
+    aperture = lens.object.numerical_aperture
+    return make_target(patch, example, numerical_aperture=aperture, seed=settings.seed).transmission
+
+
+def _middle(field: Field, patch: Patch) -> Field:
+    """Return the middle samples of a field on the grid of a patch with the same pitch."""
+    (rows, columns), (height, width) = field.grid.shape, patch.grid.shape
+    top, left = (rows - height) // 2, (columns - width) // 2
+    return Field(
+        patch.grid, field.values[top : top + height, left : left + width].copy(), patch.wavelength_um
+    )
+
+
+def _of_strength(plan: Plan, factor: float) -> Plan:
+    """Return a plan whose error of the described object is multiplied by a factor.
+
+    An error by noise is of equal size for a weaker object, and its fraction of the changed light is larger.
+    An object that is not found keeps its correlation.
+    """
+    if plan.misfit_of_example > EXPLAINED:
+        return plan
+    error = min(factor * math.sqrt(max(1.0 - plan.predicted**2, 0.0)), 1.0)
+    return replace(plan, predicted=math.sqrt(1.0 - error**2))
 
 
 def predicted_plans(
@@ -371,7 +500,7 @@ def predicted_plans(
     lens
         The twin's lens.
     targets
-        Trial objects by name.
+        Trial objects by name; the described object has the name `EXAMPLE`.
     settings, twin
         See :class:`Plans`.
     candidates
@@ -384,33 +513,53 @@ def predicted_plans(
     progress = progress or (lambda what, done, count: None)
     progress("frames of all plans", 0, len(candidates))
     planes = sorted({z for planes, _ in candidates for z in planes})
-    trials = {name: _trial(lens, target, settings, twin, planes) for name, target in targets.items()}
+    trials = {
+        name: [
+            trial_of(lens, target, settings.replaced(seed=settings.seed + draw), twin, planes)
+            for draw in range(DRAWS if name == EXAMPLE else 1)
+        ]
+        for name, target in targets.items()
+    }
     plans = []
     for index, (planes_mm, exposures) in enumerate(candidates):
         progress(f"{len(planes_mm)} planes, {len(exposures)} exposures", index, len(candidates))
-        outcomes = {
-            name: trial.outcome(settings.kind, planes_mm, exposures) for name, trial in trials.items()
-        }
-        plans.append(_plan(planes_mm, exposures, outcomes))
+        plans.append(_plan(planes_mm, exposures, trials, settings.kind))
     progress("planned", len(candidates), len(candidates))
-    strengths = {name: _strength(trial.target.values[trial.inside]) for name, trial in trials.items()}
-    engine_error = max(trial.engine_error for trial in trials.values())
+    strengths = {name: _strength(draws[0].target.values[draws[0].inside]) for name, draws in trials.items()}
+    engine_error = max(trial.engine_error for draws in trials.values() for trial in draws)
     return Plans(settings, twin, diversity_of_planes, tuple(plans), strengths, engine_error)
 
 
 def _plan(
-    planes_mm: tuple[float, ...], exposures: tuple[float, ...], outcomes: Mapping[str, _Outcome]
+    planes_mm: tuple[float, ...],
+    exposures: tuple[float, ...],
+    trials: Mapping[str, Sequence[Trial]],
+    kind: Kind,
 ) -> Plan:
-    """Return a plan with the figures of its worst object."""
+    """Return a plan with the figures of its worst object, and those of the described object."""
+    recorded = {name: [one.recorded(planes_mm, exposures) for one in draws] for name, draws in trials.items()}
+    outcomes = {
+        name: draws[0].outcome(kind, recorded[name][0]) for name, draws in trials.items() if name != EXAMPLE
+    }
     worst = min(outcomes.values(), key=lambda trial: trial.correlation)
+    described = [
+        trial.outcome(kind, planes, thorough=True)
+        for trial, planes in zip(trials.get(EXAMPLE, ()), recorded.get(EXAMPLE, ()), strict=True)
+    ]
+    linearised = EXAMPLE if described else next(iter(trials))
+    first = {name: draws[0] for name, draws in trials.items()}
     return Plan(
         planes_mm,
         exposures,
         worst.correlation,
         max(trial.misfit_over_noise for trial in outcomes.values()),
-        max(trial.iterations for trial in outcomes.values()),
+        max(trial.iterations for trial in [*outcomes.values(), *described]),
         {name: trial.correlation for name, trial in outcomes.items()},
         worst.smooth_fraction,
+        predicted=float(np.mean([trial.correlation for trial in described])) if described else math.nan,
+        misfit_of_example=max([trial.misfit_over_noise for trial in described], default=math.nan),
+        ratio=min(first[name].ratio(kind, planes_mm, recorded[name][0]) for name in first),
+        information=first[linearised].information(kind, recorded[linearised][0]),
     )
 
 
@@ -453,7 +602,7 @@ def _strength(transmission: NDArray[Any]) -> float:
     return math.sqrt(max(1.0 - abs(complex(np.mean(transmission, dtype=complex))) ** 2 / power, 0.0))
 
 
-class _Outcome(NamedTuple):
+class Outcome(NamedTuple):
     """Result of one plan for one object."""
 
     correlation: float
@@ -462,7 +611,7 @@ class _Outcome(NamedTuple):
     smooth_fraction: float
 
 
-class _Trial(NamedTuple):
+class Trial(NamedTuple):
     """Frames by plane and exposure, and the engine, which all plans share for one object."""
 
     frames: dict[tuple[float, float], Frame]
@@ -472,29 +621,73 @@ class _Trial(NamedTuple):
     inside: NDArray[np.bool_]
     engine_error: float
 
-    def outcome(self, kind: Kind, planes_mm: tuple[float, ...], exposures: tuple[float, ...]) -> _Outcome:
-        """Return the result for planes and exposures."""
-        recorded = recorded_planes([self.frames[key] for key in product(planes_mm, exposures)])
+    def recorded(self, planes_mm: tuple[float, ...], exposures: tuple[float, ...]) -> list[Measurement]:
+        """Return the measurements on planes with exposures."""
+        return recorded_planes([self.frames[key] for key in product(planes_mm, exposures)])
+
+    def outcome(self, kind: Kind, recorded: Sequence[Measurement], thorough: bool = False) -> Outcome:
+        """Return the result from measurements; a thorough search leaves local minima."""
         # Pixels are held out as in reconstruct_frames.
         given, _ = hold_out(recorded)
-        found = reconstruct(
+        noise = noise_misfit(given)
+        assert noise is not None
+        found = self._found(kind, given)
+        is_stagnated = found.misfit[-1] > EXPLAINED * noise and found.stopped_because != "iterations"
+        if thorough and kind == "amplitude" and is_stagnated:
+            others = (
+                partial(self._found, kind, given, bounded=False),
+                lambda: with_growing_aperture(partial(self._of_stage, kind), given, self.light),
+            )
+            for search in others:
+                other = search()
+                if other.misfit[-1] < found.misfit[-1]:
+                    found = other
+                if found.misfit[-1] <= EXPLAINED * noise:
+                    break
+        correlation = truth_metrics(
+            found.transmission, self.target, self.light, self.inside, self.engine.scene, Scratch()
+        )["object_correlation"]
+        assert correlation is not None
+        smooth = self._smooth_fraction(found.transmission.values, correlation)
+        return Outcome(correlation, found.misfit[-1] / noise, len(found.misfit), smooth)
+
+    def ratio(self, kind: Kind, planes_mm: Sequence[float], recorded: Sequence[Measurement]) -> float:
+        """Return the oversampling ratio of measurements."""
+        scene, grid = self.engine.scene, self.target.grid
+        side_mm = grid.pitch_mm * 2.0 * math.sqrt(np.count_nonzero(self.inside) / math.pi)
+        return measured_oversampling(
+            recorded,
+            planes_mm,
+            kind=kind,
+            support_mm=side_mm,
+            numerical_aperture=scene.lens.object.numerical_aperture,
+            wavelength_um=scene.wavelength_um,
+        ).ratio
+
+    def information(self, kind: Kind, recorded: Sequence[Measurement]) -> Information:
+        """Return the information of measurements about the object."""
+        return information_of(
+            WhitenedJacobian(self.engine, self.light, recorded, self.target, kind, self.inside)
+        )
+
+    def _found(self, kind: Kind, given: Sequence[Measurement], **options: Any) -> Reconstructed:
+        """Return the object that iterations find."""
+        return reconstruct(
             self.engine,
             self.light,
             given,
             kind=kind,
             tv_weight="auto",
-            iterations=ITERATIONS["object"],
             until_noise=True,
             fill_factor=1.0,
+            **{"iterations": ITERATIONS["object"]} | options,
         )
-        noise = noise_misfit(given)
-        correlation = truth_metrics(
-            found.transmission, self.target, self.light, self.inside, self.engine.scene, Scratch()
-        )["object_correlation"]
-        assert noise is not None
-        assert correlation is not None
-        smooth = self._smooth_fraction(found.transmission.values, correlation)
-        return _Outcome(correlation, found.misfit[-1] / noise, len(found.misfit), smooth)
+
+    def _of_stage(
+        self, kind: Kind, given: Sequence[Measurement], start: Field | None, iterations: int
+    ) -> Reconstructed:
+        """Return the object of a stage of a growing aperture."""
+        return self._found(kind, given, start=start, iterations=iterations)
 
     def _smooth_fraction(self, found: NDArray[Any], correlation: float) -> float:
         """Return the fraction of the squared error below `SMOOTH_CYCLES` cycles across the patch."""
@@ -508,9 +701,9 @@ class _Trial(NamedTuple):
         return min(float(smooth) / error, 1.0) if error > 0.0 else 0.0
 
 
-def _trial(
+def trial_of(
     lens: Lens, target: Field, settings: PlanSettings, twin: Twin, planes_mm: Sequence[float]
-) -> _Trial:
+) -> Trial:
     imaged = image(
         lens,
         target,
@@ -527,4 +720,4 @@ def _trial(
     engine = engine_for(scene, "eikonal", error=TILE_ERROR)
     frames = dict(zip(product(planes_mm, settings.exposures), imaged.frames, strict=True))
     light = lit(patch, PatchSettings())
-    return _Trial(frames, engine, light, target, patch.inside, imaged.predicted_error)
+    return Trial(frames, engine, light, target, patch.inside, imaged.predicted_error)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.files.design import load_design
@@ -23,6 +24,16 @@ if TYPE_CHECKING:
 def plan(
     design: Design,
     settings: PlanSettings,
+    object_: Annotated[
+        str | None,
+        typer.Option(
+            "--object",
+            metavar="[usaf|star|phase|tissue]|FILE",
+            help="An example of what will be imaged: usaf, star, phase, tissue, or FILE (a picture). Its "
+            "correlation is predicted, and decides which plan is recommended.",
+            rich_help_panel=OptionGroup.OBJECT,
+        ),
+    ] = None,
     output: Annotated[
         Path | None, output_option("Figure of error against planes to write (png, svg, pdf).")
     ] = None,
@@ -32,7 +43,8 @@ def plan(
 
     For each plan, several random objects of the given kind are imaged with noise and reconstructed through a
     scaled-down copy of the lens. The prediction is the range of their correlations. The recommended plan has
-    the fewest frames with which all objects reach --correlation. The assumptions are listed.
+    the fewest frames with which all objects reach --correlation. With --object, an example of what will be
+    imaged is tried as well: its prediction is a single value, and decides. The assumptions are listed.
     """
     from wavesim.calibration.planning import plan_frames
     from wavesim.plots.frames import save
@@ -42,7 +54,7 @@ def plan(
     lens = load_design(design)
     with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = plan_frames(lens, settings, progress=on_progress)
+        found = plan_frames(lens, settings, example=object_, progress=on_progress)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
     title = lens.title or design.stem
@@ -71,7 +83,11 @@ def _summary(found: Plans, title: str, messages: list[str]) -> dict[str, Any]:
         "objects": [
             {"name": name, "description": TRIAL_OBJECTS[name].description, "changes_of_amplitude": strength}
             for name, strength in found.strengths.items()
+            if name in TRIAL_OBJECTS
         ],
+        "described": {"name": found.example, "changes_of_amplitude": found.example_strength}
+        if found.example
+        else None,
         "assumptions": list(found.assumptions),
         "plans": [_plan_values(plan) | {"recommended": plan is found.recommended} for plan in found.plans],
         "warnings": messages,
@@ -86,6 +102,9 @@ def _plan_values(plan: Plan) -> dict[str, Any]:
         "correlation": plan.correlation,
         "highest_correlation": plan.highest_correlation,
         "correlation_by_object": dict(plan.by_object),
+        "predicted_correlation": finite_or_none(plan.predicted),
+        "oversampling": finite_or_none(plan.ratio),
+        "information": None if plan.information is None else plan.information.as_dict(),
         "smooth_fraction": finite_or_none(plan.smooth_fraction),
         "error": plan.error,
         "misfit_over_noise": plan.misfit_over_noise,
@@ -100,20 +119,26 @@ def _twin(found: Plans) -> str:
 
 
 def _print(found: Plans) -> None:
+    from wavesim.calibration.planning import TRIAL_OBJECTS
+
     print(f"{found.settings.kind} object; {_twin(found)}")
+    trials = [name for name in found.strengths if name in TRIAL_OBJECTS]
     rows = [
         (
             "*" if plan is found.recommended else "",
             ", ".join(f"{z:.4g}" for z in plan.planes_mm),
             ", ".join(f"{e:g}" for e in plan.exposures),
             f"{plan.frames}",
-            *(f"{plan.by_object[name]:.4f}" for name in found.strengths),
+            f"{plan.ratio:.2f}",
+            *([] if plan.information is None else [f"{100.0 * plan.information.fraction:.1f} %"]),
+            *([f"{plan.predicted:.4f}"] if found.example else []),
+            *(f"{plan.by_object[name]:.4f}" for name in trials),
             f"{plan.misfit_over_noise:.2f}",
         )
         for plan in found.plans
     ]
-    objects = (name.replace(" ", "\n") for name in found.strengths)
-    columns = ("frames", *objects, "misfit\nover noise")
+    objects = (name.replace(" ", "\n") for name in [*(["described"] if found.example else []), *trials])
+    columns = ("frames", "pixels /\nunknown", "deter-\nmined", *objects, "misfit\nover noise")
     print_table(("", "planes (mm)", "exposures"), columns, rows, "expected correlation of each object")
     print(
         f"phase diversity of the planes {found.diversity:.3g}, in the simulation {found.twin.diversity:.3g}"
@@ -121,11 +146,14 @@ def _print(found: Plans) -> None:
     best = found.recommended
     asked = f"a correlation of {found.settings.correlation:g}"
     expected = f"expected {best.correlation:.4f} to {best.highest_correlation:.4f}, depending on the object"
+    whom = "all objects"
+    if found.example:
+        expected, whom = f"predicted {best.predicted:.4f}", visible(found.example)
     if found.enough:
-        print(f"* recommended: the fewest frames that reach {asked} for all objects; {expected}")
+        print(f"* recommended: the fewest frames that reach {asked} for {whom}; {expected}")
     else:
         more = "more light" if found.at_noise else "more planes, a wider range of them, or a smaller patch"
-        print(f"* the best plan, but none reaches {asked} for all objects: use {more}; {expected}")
+        print(f"* the best plan, but none reaches {asked} for {whom}: use {more}; {expected}")
     print("The prediction assumes:")
     for line in found.assumptions:
         print(f"- {line}")

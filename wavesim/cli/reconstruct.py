@@ -391,6 +391,11 @@ def _summary_lines(summary: dict[str, Any]) -> list[str]:
 
     words = stop_words(summary["field_stop_mm"], summary["field_stop_at_mm"])
     lines = [f"{words}, {STOP_ORIGINS[summary['field_stop_from']]}"]
+    if summary["oversampling"] is not None:
+        lines.append(
+            f"oversampling {summary['oversampling']['ratio']:.3g}: pixels with more light than noise for "
+            f"each unknown of the {summary['kind']} object"
+        )
     if "engine_replaced" in summary:
         lines.append(summary["engine_replaced"]["words"])
     source = Source(summary.get("source_deg", 0.0), summary.get("bandwidth_nm", 0.0))

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.analysis.oversampling import Oversampling
 from lensdesign.common.notebook import html_picture, html_table
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
 from wavesim.metrics.result_quality import chart_metrics, plane_metrics
+from wavesim.reconstruction.oversampling import measured_oversampling
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings
@@ -110,6 +113,23 @@ class FoundObject:
     memory: Memory
     predicted_error: float
 
+    @cached_property
+    def oversampling(self) -> Oversampling | None:
+        """Pixels in the light for each real unknown of the object; None without standard deviations.
+
+        See :func:`wavesim.reconstruction.oversampling.measured_oversampling`.
+        """
+        if any(plane.sigma is None for plane in self.recorded):
+            return None
+        return measured_oversampling(
+            self.recorded,
+            [plane.distance_mm for plane in self.planes],
+            kind=self.settings.kind if self.settings.method == "object" else "complex",
+            support_mm=self.patch.field_stop_mm,
+            numerical_aperture=self.engine.scene.lens.object.numerical_aperture,
+            wavelength_um=self.patch.wavelength_um,
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """Return the quality of the result for JSON: planes, focus, true object and charts."""
         settings, pitch_mm = self.settings, self.patch.grid.pitch_mm
@@ -132,6 +152,13 @@ class FoundObject:
             ],
             "verdict": self.verdict.as_dict(),
             "diversity": self.diversity,
+            "oversampling": None
+            if self.oversampling is None
+            else {
+                "ratio": self.oversampling.ratio,
+                "unknowns": self.oversampling.unknowns,
+                "measurements_of_planes": list(self.oversampling.measurements_of_planes),
+            },
             "field_stop_mm": self.patch.field_stop_mm,
             "field_stop_at_mm": list(self.patch.field_stop_at_mm),
             "field_stop_from": settings.field_stop_from,
@@ -171,6 +198,8 @@ class FoundObject:
             ("stop", f"{self.patch.stop_words}, {STOP_ORIGINS[settings.field_stop_from]}"),
             ("iterations", f"{len(self.curve)}, {curve_name} {self.curve[-1]:.5g}"),
         ]
+        if self.oversampling is not None:
+            lines.append(("oversampling", f"{self.oversampling.ratio:.3g} pixels for each unknown"))
         lines.append(("verdict", self.verdict.words))
         if self.focus is not None:
             lines.append(("sharpest", f"{1e3 * self.focus.distance_mm:.2f} µm behind the object plane"))

@@ -12,8 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.eikonal.on_cluster import tiles_in
@@ -44,7 +42,7 @@ from wavesim.reconstruction.coarse_start import (
 from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
-from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS, STAGES, aperture_stages
+from wavesim.reconstruction.growing_aperture import STAGES, with_growing_aperture
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.problem import (
     ReconstructionProblem,
@@ -500,20 +498,20 @@ def _solve_with_growing_aperture(
     reporter: ProgressReporter,
 ) -> Reconstructed:
     """Return the amplitude or phase object that a growing aperture finds."""
-    start: Field | None = None
-    iterations = min(STAGE_ITERATIONS, settings.most_iterations)
-    for index, planes in enumerate(aperture_stages(case.given)):
-        reporter.step(f"local minimum? growing aperture, stage {index + 1} of {STAGES}")
-        stage = _solve(case, settings, engine, reporter, start, given=planes, iterations=iterations)
-        start = stage.transmission if settings.scale else _brightest_is_1(stage.transmission, case.light)
-    return _solve(case, settings, engine, reporter, start)
 
+    def solve(given: Sequence[Measurement], start: Field | None, iterations: int) -> Reconstructed:
+        return _solve(case, settings, engine, reporter, start, given=given, iterations=iterations)
 
-def _brightest_is_1(transmission: Field, light: Field) -> Field:
-    """Return a transmission, known up to a factor, whose brightest lit parts are 1."""
-    # A few samples at edges may exceed the brightest parts.
-    brightest = float(np.quantile(np.abs(transmission.values[light.values != 0.0]), 0.99))
-    return transmission if brightest == 0.0 else transmission.with_values(transmission.values / brightest)
+    return with_growing_aperture(
+        solve,
+        case.given,
+        case.light,
+        iterations=settings.most_iterations,
+        knows_scale=settings.scale is not None,
+        on_stage=lambda index: reporter.step(
+            f"local minimum? growing aperture, stage {index + 1} of {STAGES}"
+        ),
+    )
 
 
 def _retrieve(

@@ -14,12 +14,16 @@ C. Bunks, F. M. Saleck, S. Zaleski and G. Chavent, "Multiscale seismic waveform 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavesim.fields.field import Field
+from wavesim.reconstruction.object_solver import Reconstructed
+from wavesim.scene.settings import ITERATIONS
 from wavesim.sensor.measurement import Measurement
 
 STAGES = 12
@@ -48,6 +52,56 @@ def aperture_stages(recorded: Sequence[Measurement]) -> Iterator[list[Measuremen
     radii = [_relative_radius(plane) for plane in recorded]
     for fraction in np.geomspace(FIRST_RADIUS, 1.0, STAGES):
         yield [_within(plane, radius <= fraction) for plane, radius in zip(recorded, radii, strict=True)]
+
+
+class StageSolver(Protocol):
+    """Finds the object from the measurements of a stage, from a start, with so many iterations at most."""
+
+    def __call__(
+        self, given: Sequence[Measurement], start: Field | None, iterations: int
+    ) -> Reconstructed: ...
+
+
+def with_growing_aperture(
+    solve: StageSolver,
+    given: Sequence[Measurement],
+    light: Field,
+    *,
+    iterations: int = ITERATIONS["object"],
+    knows_scale: bool = False,
+    on_stage: Callable[[int], None] = lambda stage: None,
+) -> Reconstructed:
+    """Return the object from all pixels, after the stages of a growing aperture.
+
+    Parameters
+    ----------
+    solve
+        Solver of one stage.
+    given
+        Measured planes with `sigma`.
+    light
+        Illumination of the object.
+    iterations
+        Largest number of iterations from all pixels.
+    knows_scale
+        Whether the scale of the amplitudes is known. Otherwise each stage starts from an object whose
+        brightest parts are 1.
+    on_stage
+        Callback with the index of a stage, called before it.
+    """
+    start: Field | None = None
+    for index, planes in enumerate(aperture_stages(given)):
+        on_stage(index)
+        found = solve(planes, start, min(STAGE_ITERATIONS, iterations)).transmission
+        start = found if knows_scale else _brightest_is_1(found, light)
+    return solve(given, start, iterations)
+
+
+def _brightest_is_1(transmission: Field, light: Field) -> Field:
+    """Return a transmission, known up to a factor, whose brightest lit parts are 1."""
+    # A few samples at edges may exceed the brightest parts.
+    brightest = float(np.quantile(np.abs(transmission.values[light.values != 0.0]), 0.99))
+    return transmission if brightest == 0.0 else transmission.with_values(transmission.values / brightest)
 
 
 def _relative_radius(plane: Measurement) -> NDArray[np.float64]:
