@@ -378,6 +378,7 @@ def plan_frames(
     settings: PlanSettings | None = None,
     *,
     example: str | Field | None = None,
+    candidates: Sequence[tuple[tuple[float, ...], tuple[float, ...]]] = (),
     progress: Progress | None = None,
     **changes: Any,
 ) -> Plans:
@@ -393,6 +394,9 @@ def plan_frames(
         An example of the objects that will be imaged: the name of a built-in object or the path of a picture,
         as :func:`wavesim.image` accepts them, or a transmission with the samples of the patch. Each plan then
         has a predicted correlation of its own for it.
+    candidates
+        Planes in mm and exposures of each plan. Default: one plane to `most_planes`, evenly spaced, with the
+        first of `exposures` and with all of them.
     progress
         Callback `progress(stage, completed, total)` with the number of plans.
     **changes
@@ -417,7 +421,7 @@ def plan_frames(
     small_lens = lens if twin.scale == 1.0 else scaled(lens, twin.scale)
     small = object_patch(small_lens, twin.patch_mm, wavelength_um=settings.wavelength_um)
     exposure_sets = dict.fromkeys([settings.exposures[:1], settings.exposures])
-    candidates = [
+    candidates = list(candidates) or [
         (tuple(float(z) for z in np.linspace(near, far, count)), exposures)
         for count in range(1, settings.most_planes + 1)
         for exposures in exposure_sets
@@ -704,9 +708,19 @@ class Trial(NamedTuple):
 def trial_of(
     lens: Lens, target: Field, settings: PlanSettings, twin: Twin, planes_mm: Sequence[float]
 ) -> Trial:
+    """Return the frames of an object on all planes (in mm, of the original lens), and the engine.
+
+    Parameters
+    ----------
+    lens, target, settings, twin
+        Lens of the twin, object on its patch, and settings of the plans.
+    planes_mm
+        All planes.
+    """
     imaged = image(
         lens,
         target,
+        field_stop_mm=twin.patch_mm,
         planes_mm=tuple(twin.scale * z for z in planes_mm),
         exposures=settings.exposures,
         engine="eikonal",
