@@ -47,6 +47,7 @@ SCRIPTS = (
     "single_exposure_lenses",
     "verdicts",
     "plan_outcomes",
+    "oversampling_chart",
     "calibration_errors",
     "bench_sets",
     "focus_rule",

@@ -1,6 +1,6 @@
 """Oversampling ratio against correlation, for objects of several kinds on small twins of the paper's lens.
 
-    python -m benchmarks.oversampling_chart RESULTS.jsonl [CHART.png]
+    python -m benchmarks.oversampling_chart [RESULTS.jsonl [CHART.png]]
 
 Frames with noise are reconstructed as by `wavesim plan`. The ratio is varied by the number of planes, the
 diameter of the field stop, the numerical aperture, the pixel pitch, the exposures, and by a random choice of
@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -247,9 +248,13 @@ def chart(results: Sequence[dict[str, Any]]) -> Figure:
     return figure
 
 
-def main(path: Path, picture: Path | None = None) -> None:
+def main(path: Path | None = None, picture: Path | None = None) -> None:
     """Measure, print the thresholds, and draw the chart."""
-    results = run(path)
+    if path is None:
+        with TemporaryDirectory() as folder:
+            results = run(Path(folder) / "results.jsonl")
+    else:
+        results = run(path)
     print("| object | kind | threshold | lowest ratio found | highest ratio not found | best correlation |")
     print("| --- | --- | --- | --- | --- | --- |")
     for name in OBJECTS:
@@ -267,4 +272,4 @@ def main(path: Path, picture: Path | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *(Path(name) for name in sys.argv[2:3]))
+    main(*(Path(name) for name in sys.argv[1:3]))

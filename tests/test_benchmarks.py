@@ -15,7 +15,16 @@ from benchmarks.__main__ import SCRIPTS
 
 FILES = sorted((ROOT / "benchmarks").rglob("*.py"))
 OURS = ("lensdesign", "wavesim", "tolerancing", "studio", "benchmarks")
-SHARED = {"__init__", "__main__", "timing", "others", "docs_pictures", "explaining_pictures", "attacked_runs"}
+SHARED = {
+    "__init__",
+    "__main__",
+    "timing",
+    "others",
+    "docs_pictures",
+    "explaining_pictures",
+    "attacked_runs",
+    "independent_frames",
+}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

@@ -429,27 +429,24 @@ def plan_frames(
     candidates.sort(key=lambda plan: (len(plan[0]) * len(plan[1]), len(plan[0])))
     targets = random_objects(small, settings)
     whole = None if example is None else _example(lens, patch, example, settings)
+    strength = math.nan
     if whole is not None:
         targets[EXAMPLE] = _middle(whole, small)
+        stop_mm = min(patch.field_stop_mm, min(whole.grid.shape) * whole.grid.pitch_mm)
+        strength = _strength(whole.values[replace(patch, grid=whole.grid, field_stop_mm=stop_mm).inside])
+        if strength == 0.0:
+            raise InputError("example: changes no light; the correlation of such an object is not defined")
     plans = predicted_plans(
         small_lens, targets, settings, twin, candidates, diversity(lens, patch, (near, far)), progress
     )
     if whole is None:
         return plans
-    stop = replace(patch, grid=whole.grid, field_stop_mm=min(patch.field_stop_mm, _side_mm(whole)))
-    strength = _strength(whole.values[stop.inside])
-    if strength == 0.0:
-        raise InputError("example: changes no light; the correlation of such an object is not defined")
     return replace(
         plans,
         plans=tuple(_of_strength(plan, plans.strengths[EXAMPLE] / strength) for plan in plans.plans),
         example=example if isinstance(example, str) else "the given transmission",
         example_strength=strength,
     )
-
-
-def _side_mm(field: Field) -> float:
-    return min(field.grid.shape) * field.grid.pitch_mm
 
 
 def _example(lens: Lens, patch: Patch, example: str | Field, settings: PlanSettings) -> Field:

@@ -14,11 +14,14 @@ from wavesim.calibration.planning import (
     Plan,
     Plans,
     Twin,
+    _middle,
+    _of_strength,
     _strength,
     _twin,
     plan_frames,
     random_objects,
 )
+from wavesim.fields.field import Field
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.settings import ITERATIONS, Kind, PlanSettings
 from wavesim.sensor.imaging import image
@@ -84,6 +87,60 @@ def test_a_phase_object_comes_out_within_the_predicted_range() -> None:
     assert plan.highest_correlation == max(plan.by_object.values())
     assert plan.correlation == min(plan.by_object.values())
     assert 0.0 < plan.smooth_fraction < 1.0
+
+
+@pytest.mark.usefixtures("quick_verdicts")
+def test_a_described_object_has_a_prediction_of_its_own() -> None:
+    """Frames of another draw of the noise give what is predicted for faint light, within that draw."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+    plan = (lens.sensor.plane_distances_mm, (1.0,))
+    found = plan_frames(lens, patch_mm=0.03, kind="amplitude", example="star", candidates=[plan])
+    (best,) = found.plans
+    taken = image(lens, "star", patch_mm=0.03, planes_mm=plan[0], engine="eikonal", error=0.02, seed=5)
+    reached = reconstruct_frames(
+        lens, taken.frames, patch_mm=0.03, kind="amplitude", truth=taken.target.transmission
+    ).truth["object_correlation"]
+    assert best.predicted == pytest.approx(reached, abs=0.03)
+    assert best.expected == best.predicted
+    assert best.misfit_of_example == pytest.approx(1.0, abs=0.2)
+    assert set(best.by_object) == {"grains", "fine grains", "few grains"}
+    assert best.information is not None
+    assert 0.5 < best.information.fraction < 1.0
+    assert 0.5 < best.ratio < 2.0
+    assert not found.enough
+    assert "correlation " + f"{best.predicted:.4f} for star" in repr(found)
+    assert "Described object: star, changes" in " ".join(found.assumptions)
+
+
+def test_the_error_of_a_weaker_object_is_larger_where_it_is_found() -> None:
+    plan = Plan((1.0,), (1.0,), 0.9, 1.0, 20, predicted=0.8, misfit_of_example=1.0)
+    assert _of_strength(plan, 1.0).predicted == pytest.approx(0.8)
+    assert _of_strength(plan, 1.2).predicted == pytest.approx((1.0 - 0.72**2) ** 0.5)
+    assert _of_strength(plan, 9.0).predicted == 0.0
+    lost = replace(plan, misfit_of_example=5.0)
+    assert _of_strength(lost, 1.2) == lost
+
+
+def test_a_small_twin_images_the_middle_of_an_example() -> None:
+    patch = object_patch(LENS, 0.04)
+    small = object_patch(LENS, 0.02)
+    whole = Field(patch.grid, np.arange(patch.grid.size).reshape(patch.grid.shape), patch.wavelength_um)
+    middle = _middle(whole, small)
+    offset = (patch.grid.shape[0] - small.grid.shape[0]) // 2
+    assert middle.grid == small.grid
+    assert middle.values[0, 0] == whole.values[offset, offset]
+    assert middle.values[-1, -1] == whole.values[-offset - 1, -offset - 1]
+
+
+@pytest.mark.parametrize(
+    ("example", "message"),
+    [("empty", "changes no light"), ("stars", "did you mean"), ("field", "its grid")],
+)
+def test_impossible_examples(example: str, message: str) -> None:
+    grid = object_patch(LENS, 0.03).grid
+    given = Field(grid, np.ones(grid.shape, np.complex64), 0.532) if example == "field" else example
+    with pytest.raises(InputError, match=message):
+        plan_frames(LENS, patch_mm=0.02, most_planes=1, exposures=(1.0,), example=given)
 
 
 def test_predictions_state_what_they_assume() -> None:

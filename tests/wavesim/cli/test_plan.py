@@ -37,6 +37,27 @@ def test_a_table_a_chart_and_figures(wavesim: Command, tmp_path: Path) -> None:
     assert found["enough"] is False
 
 
+def test_an_example_of_the_object_decides(wavesim: Command, tmp_path: Path) -> None:
+    design = tmp_path / "twin.toml"
+    save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 64), design)
+    usual = (design, "--patch-mm", 0.03, "--kind", "amplitude", "--exposures", 1, "--max-planes", 1)
+    code, out, err = wavesim("plan", *usual, "--object", "star")
+    assert code == 0, err
+    assert "described" in out
+    assert "for star" in out
+    assert "predicted 0." in out
+    code, out, err = wavesim("plan", *usual, "--object", "star", "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    (plan,) = found["plans"]
+    assert found["described"]["name"] == "star"
+    assert 0.0 < found["described"]["changes_of_amplitude"] < 1.0
+    assert 0.0 < plan["predicted_correlation"] < 1.0
+    assert 0.0 < plan["oversampling"] < 8.0
+    assert 0.0 < plan["information"]["fraction_determined"] < 1.0
+    assert "described" not in plan["correlation_by_object"]
+
+
 def test_refused(wavesim: Command) -> None:
     usual = ("plan", "designs/paper_singlet.toml", "--plane-distance-mm", "3,1")
     code, out, err = wavesim(*usual)
