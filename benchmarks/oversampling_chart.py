@@ -218,6 +218,8 @@ def chart(results: Sequence[dict[str, Any]]) -> Figure:
                 )
         axes.axvspan(1.0, 2.0, color="0.9", zorder=0)
         axes.set_xscale("log")
+        axes.set_xticks([0.5, 1.0, 2.0, 4.0, 8.0], labels=["0.5", "1", "2", "4", "8"])
+        axes.minorticks_off()
         axes.set_ylim(0.0, 1.02)
         axes.set_xlabel("pixels in the light for each unknown")
         axes.set_ylabel("correlation")
@@ -225,16 +227,19 @@ def chart(results: Sequence[dict[str, Any]]) -> Figure:
         axes.grid(True)
         axes.legend(fontsize=7)
     last = panels[2]
-    for name, colour in zip(OBJECTS, SERIES * 2, strict=False):
+    for name in OBJECTS:
+        names = [other for other in OBJECTS if kind_of(other) == kind_of(name)]
+        colour = SERIES[names.index(name)]
         own = [one for one in results if one["object"] == name]
         for found in (True, False):
             shown = [one for one in own if is_found(one) == found]
             last.plot(
                 [one["deviation_of_noise"] for one in shown],
                 [one["deviation"] for one in shown],
-                "o",
                 ms=4.0,
                 color=colour,
+                marker="s" if kind_of(name) == "amplitude" else "o",
+                ls="",
                 markerfacecolor=colour if found else "none",
             )
     ends = [2e-3, 1.0]
@@ -243,7 +248,7 @@ def chart(results: Sequence[dict[str, Any]]) -> Figure:
     last.set_yscale("log")
     last.set_xlabel("deviation of a sample that noise leaves")
     last.set_ylabel("deviation of a sample, reached")
-    last.set_title("filled: found")
+    last.set_title("filled: found; squares: amplitude")
     last.grid(True)
     return figure
 

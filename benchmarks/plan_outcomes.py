@@ -148,7 +148,7 @@ CASES = (
     Case(48, 0.04, None, "rough", "complex", 4, THREE, "slices"),
     Case(48, 0.03, None, "rough", "complex", 2, ONE),
     Case(48, 0.05, 0.03, "rough", "complex", 1, THREE),
-    Case(32, 0.05, None, "rough", "complex", 3, THREE),
+    Case(48, 0.03, None, "rough", "complex", 3, THREE),
     Case(48, 0.04, None, "cells", "complex", 2, THREE),
     Case(32, 0.05, None, "cells", "complex", 3, ONE),
     Case(64, 0.03, None, "cells", "complex", 4, TWO, "slices"),
