@@ -168,21 +168,18 @@ def measurements_in_light(
 
 def largest_oversampling(
     kind: ObjectKind,
-    frames: int,
-    light_diameter_mm: float,
+    light_diameters_mm: Sequence[float],
     pixel_pitch_um: float,
     degrees_of_freedom: float,
 ) -> float:
-    """Return the oversampling ratio of frames that light of a diameter fills, whatever the lens.
+    """Return the oversampling ratio of frames that light fills as far as it may, whatever the lens.
 
     Parameters
     ----------
     kind
         "amplitude", "phase" or "complex".
-    frames
-        Number of frames, each on a plane of its own.
-    light_diameter_mm
-        Largest diameter of the light on the sensor.
+    light_diameters_mm
+        Largest diameter of the light on the sensor, for each frame.
     pixel_pitch_um
         Pixel pitch.
     degrees_of_freedom
@@ -192,12 +189,14 @@ def largest_oversampling(
     --------
     No frame gives a complex object more than two measurements for each unknown:
 
-    >>> largest_oversampling("complex", 1, 22.4, 0.1, 1.96e7)
+    >>> largest_oversampling("complex", [22.4], 0.1, 1.96e7)
     2.0
     """
-    sides = (light_diameter_mm, light_diameter_mm)
-    measured = measurements_in_light(light_diameter_mm, sides, pixel_pitch_um, degrees_of_freedom)
-    return frames * measured / (UNKNOWNS_OF_KIND[kind] * degrees_of_freedom)
+    measured = sum(
+        measurements_in_light(diameter, (diameter, diameter), pixel_pitch_um, degrees_of_freedom)
+        for diameter in light_diameters_mm
+    )
+    return measured / (UNKNOWNS_OF_KIND[kind] * degrees_of_freedom)
 
 
 def oversampling_of(

@@ -431,25 +431,36 @@ def _validate_oversampling(specification: Specification) -> None:
             f"{frames * highest:g}, with any field, support, NA and pixel pitch; record at least {least} "
             f"frames, or require at most {frames * highest:g}"
         )
-    half_mm = min(0.5 * min(specification.sensor.size_mm), *specification.footprint_limits())
+    from scipy.optimize import brentq
+
+    half_side_mm = 0.5 * min(specification.sensor.size_mm)
+    lights_mm = [2.0 * min(half_side_mm, limit) for limit in specification.footprint_limits()[:frames]]
     wavelength, pitch = min(specification.wavelengths_um), specification.sensor.pixel_pitch_um
     size_mm = scene.field_diameter_mm if recording.support_mm is None else recording.support_mm
     name = "field" if recording.support_mm is None else "support"
     degrees = sbp_object(size_mm, scene.numerical_aperture, wavelength)
-    largest = largest_oversampling(kind, frames, 2.0 * half_mm, pitch, degrees)
+
+    def largest_ratio(factor: float) -> float:
+        """Return the largest ratio for a size, NA or pixel pitch that is multiplied by a factor."""
+        return largest_oversampling(kind, lights_mm, factor * pitch, degrees)
+
+    largest = largest_ratio(1.0)
     if required <= largest * (1.0 + 1e-9):
         return
-    # Pixels limit the ratio here, which is proportional to frames / (size NA pitch)^2.
-    factor = math.sqrt(largest / required)
-    pixels = largest / frames * unknowns * degrees
+    # With this factor each frame has all measurements that it can have.
+    smallest = min(0.4e3 * min(lights_mm) / (pitch * math.sqrt(degrees)), 1.0)
+    reachable = min(required, largest_ratio(smallest))
+    factor = brentq(lambda factor: largest_ratio(factor) - reachable, smallest, 1.0)
+    widest = largest_oversampling(kind, [max(lights_mm)], pitch, degrees)
+    more = math.ceil((required - largest) / widest - 1e-9)
+    circles = ", ".join(f"{light:.4g}" for light in dict.fromkeys(lights_mm))
     raise DesignError(
-        f"infeasible: recording, oversampling = {required:g}: the {pixels:.4g} pixels in a circle of "
-        f"{2.0 * half_mm:.4g} mm give {article} {kind} object of {size_mm:g} mm at NA "
-        f"{scene.numerical_aperture:g} and {wavelength:g} µm at most {largest:.4g} measurements for each "
-        f"unknown in {_counted(frames)}, whatever the lens; one of these must give way: the {name} at most "
+        f"infeasible: recording, oversampling = {required:g}: the pixels in a circle of {circles} mm "
+        f"give {article} {kind} object of {size_mm:g} mm at NA {scene.numerical_aperture:g} and "
+        f"{wavelength:g} µm at most {largest:.4g} measurements for each unknown in {_counted(frames)}, "
+        f"whatever the lens; one of these must give way: the {name} at most "
         f"{_floored(factor * size_mm)} mm, or NA at most {_floored(factor * scene.numerical_aperture)}, or "
-        f"pixel_pitch_um at most {_floored(factor * pitch)}, or at least "
-        f"{math.ceil(frames * required / largest - 1e-9)} frames"
+        f"pixel_pitch_um at most {_floored(factor * pitch)}, or at least {frames + more} frames"
     )
 
 

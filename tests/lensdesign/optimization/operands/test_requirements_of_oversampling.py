@@ -146,6 +146,21 @@ def test_values_that_the_bound_names_are_possible(tmp_path: Path) -> None:
     assert recorded(tmp_path, recording, "", change).recording is not None
 
 
+def test_bound_has_the_footprint_limit_of_each_recorded_plane(tmp_path: Path) -> None:
+    field = ("field_diameter_mm = 3.0", "field_diameter_mm = 1.5")
+    limits = ('max_footprint_radius_mm = "sensor"', "max_footprint_radius_mm = [11.0, 6.0]")
+    # The wider light has all four measurements that a frame can have.
+    narrow = math.pi * (6.0 / 3.2e-3) ** 2 / (math.pi * 0.75 * 0.5 / 0.532e-3) ** 2
+    assert narrow < 4.0
+    kept = 'frames = 1\nobject = "phase"\noversampling = 3.9'
+    assert recorded(tmp_path, kept, "", field, limits).recording is not None
+    asked = 4.0 + 1.02 * narrow
+    with pytest.raises(DesignError, match=f"at most {4.0 + narrow:.4g} measurements") as refused:
+        recorded(tmp_path, f'frames = 2\nobject = "phase"\noversampling = {asked}', "", field, limits)
+    pitch_um = float(str(refused.value).partition("pixel_pitch_um at most ")[2].split()[0].rstrip(","))
+    assert pitch_um == pytest.approx(3.2 / math.sqrt(1.02), rel=1e-3)
+
+
 def test_known_support_counts_in_place_of_the_field(tmp_path: Path) -> None:
     recording = 'frames = 1\nobject = "complex"\noversampling = 1.5\nsupport_mm = 1.8'
     specification = recorded(tmp_path, recording)
