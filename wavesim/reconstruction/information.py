@@ -119,7 +119,7 @@ class WhitenedJacobian:
         fill_factor: float = 1.0,
     ) -> None:
         validate_choice("kind", kind, ("amplitude", "phase", "complex"))
-        self.kind, self.inside = kind, inside
+        self.kind, self.inside, self.scene = kind, inside, engine.scene
         values = np.where(inside, transmission.values, 0.0).astype(illumination.values.dtype)
         model = ForwardModel(engine, illumination, recorded, None, fill_factor)
         model.scale = LinearModel(model, values, fits_scale=True).scale
@@ -194,7 +194,7 @@ def information_of(jacobian: WhitenedJacobian, *, steps: int = LANCZOS_STEPS, se
         draw = draw + 1j * random.standard_normal(shape)
     start = jacobian.limited_adjoint(draw)
     diagonal, off_diagonal = _lanczos(lambda w: jacobian.adjoint(jacobian.forward(w)), start, steps)
-    scene = jacobian.linear.model.engine.scene
+    scene = jacobian.scene
     # Diameter of the disc with the area of all samples inside the stop.
     diameter_mm = 2.0 * math.sqrt(np.count_nonzero(jacobian.inside) * scene.object_grid.cell / math.pi)
     unknowns = real_unknowns(
