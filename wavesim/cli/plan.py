@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
-from lensdesign.common.option_groups import OptionGroup
+from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.files.design import load_design
@@ -21,6 +21,18 @@ if TYPE_CHECKING:
     from wavesim.calibration.planning import Plan, Plans
 
 
+@most_used(
+    "output",
+    "object_",
+    "kind",
+    "patch_mm",
+    "planes_mm",
+    "most_planes",
+    "exposures",
+    "correlation",
+    "full_well_electrons",
+    "as_json",
+)
 def plan(
     design: Design,
     settings: PlanSettings,
