@@ -75,8 +75,9 @@ def settings_of_chart() -> Iterator[Setting]:
 
 
 def kind_of(name: str) -> Kind:
-    """Return the kind of an object."""
-    return TRIAL_OBJECTS[name].kind if name in TRIAL_OBJECTS else "complex"
+    """Return the kind as which an object is sought: objects of phase alone count as complex, too."""
+    is_amplitude = name in TRIAL_OBJECTS and TRIAL_OBJECTS[name].kind == "amplitude"
+    return "amplitude" if is_amplitude else "complex"
 
 
 def object_named(name: str, patch: Patch) -> Field:
