@@ -40,7 +40,7 @@ BITS, OFFSET, FULL_WELL, READ_NOISE, PEAK_FILL = 12, 64.0, 10_000.0, 2.0, 0.8
 SUBPIXELS = 3
 """Points of the frame's own model along each side of a pixel."""
 
-SPECTRUM = 0.25
+SPECTRUM = 0.35
 """Frequency at which the power of an object's details has fallen to 1/e, over that of the aperture."""
 
 FINE_ERROR, ENGINE_ERROR = 0.03, 0.05
