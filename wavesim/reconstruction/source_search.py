@@ -11,7 +11,8 @@ that both can be found together.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,8 +44,15 @@ BROADEST = 8.0
 Each wavelength needs an engine, and a broader band needs more of them.
 """
 
+WIDEST_DEG = 89.0
+"""Largest width of a source that is sought, in deg."""
+
 WIDTHS = "width_deg", "bandwidth_nm"
 """Names of the widths of a source."""
+
+
+class SourceWarning(UserWarning):
+    """A width of the light's source was not determined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +64,21 @@ class FoundSource:
     source : Source
         The source.
     deviations : dict
-        Standard deviation of each width that was sought, by its name (`WIDTHS`). For a width of 0 it is the
-        width up to which the frames cannot exclude a source.
+        Standard deviation of each width that was determined, by its name (`WIDTHS`). For a width of 0 it is
+        the width up to which the frames cannot exclude a source.
     transmission : Field
         The object found with it.
+    at_limit : tuple of str
+        Names of the widths at the limit of the search. The source is probably wider.
+    has_converged : bool
+        Whether the widths converged.
     """
 
     source: Source
     deviations: dict[str, float]
     transmission: Field
+    at_limit: tuple[str, ...] = ()
+    has_converged: bool = True
 
 
 def stated_source(settings: FramedSettings) -> Source:
@@ -102,11 +116,16 @@ def find_source(
         Source with the width that is known; widths that are sought are ignored.
     start
         Object with which the search starts; default: an even one.
+
+    Warns
+    -----
+    SourceWarning
+        If a width reaches the limit of the search, or the widths do not converge.
     """
     sought = sought_widths(settings)
     units = {"width_deg": coherent_deg(light), "bandwidth_nm": coherent_nm(light)}
-    largest = {"width_deg": math.inf, "bandwidth_nm": BROADEST * units["bandwidth_nm"]}
-    source = replace(known, **{name: units[name] for name in sought})
+    largest = {"width_deg": WIDEST_DEG, "bandwidth_nm": BROADEST * units["bandwidth_nm"]}
+    source = replace(known, **{name: min(units[name], largest[name]) for name in sought})
     transmission = start or light.with_values(np.ones_like(light.values))
     # Relative change of a width at which the search ends.
     tolerance = 0.02
@@ -115,6 +134,7 @@ def find_source(
     # Smallest width over that at which half of the object is lit coherently. Narrower sources are points.
     least_width = 0.1
     deviations = dict[str, float]()
+    at_limit, has_converged = set[str](), False
 
     def improved(transmission: Field, iterations: int) -> Reconstructed:
         return reconstruct(
@@ -139,6 +159,7 @@ def find_source(
     for _ in range(MOST_WIDTHS):
         names = [name for name in sought if getattr(source, name)]
         if not names:
+            has_converged = True
             break
         progress(_source_text(source, names))
         found = improved(transmission, ITERATIONS)
@@ -154,7 +175,11 @@ def find_source(
         for name, square, variance in zip(names, squares.tolist(), variances.tolist(), strict=True):
             width = getattr(source, name)
             new = math.sqrt(max(square, (least_factor * width) ** 2))
-            new = min(new, largest_factor * width, largest[name])
+            new = min(new, largest_factor * width)
+            at_limit.discard(name)
+            if new >= largest[name]:
+                new = largest[name]
+                at_limit.add(name)
             # Deviations of the square up to which a source counts as a point.
             deviation, point_deviations = math.sqrt(variance), 2.0
             is_point = square < point_deviations * deviation or new < least_width * units[name]
@@ -166,7 +191,32 @@ def find_source(
             source = replace(source, **{name: new})
         if has_converged:
             break
-    return FoundSource(source, deviations, transmission)
+    _warn_of_undetermined(source, sought, at_limit, has_converged)
+    known_deviations = {
+        name: deviation for name, deviation in deviations.items() if has_converged and name not in at_limit
+    }
+    return FoundSource(source, known_deviations, transmission, tuple(sorted(at_limit)), has_converged)
+
+
+def _warn_of_undetermined(
+    source: Source, sought: Sequence[str], at_limit: Collection[str], has_converged: bool
+) -> None:
+    """Warn if a width is at the limit of the search, or if the widths did not converge."""
+    for name in at_limit:
+        message = (
+            f"{_source_text(source, (name,))} is the limit of the search, so that it is not determined: "
+            "the source is probably wider; state it if it is known"
+        )
+        if name == "bandwidth_nm":
+            message += ", use a narrower filter, or light a smaller patch"
+        warnings.warn(message, SourceWarning, stacklevel=3)
+    if not has_converged:
+        warnings.warn(
+            f"{_source_text(source, sought)}: the search did not converge with {MOST_WIDTHS} sources, so that "
+            "this is not determined; state it if it is known",
+            SourceWarning,
+            stacklevel=3,
+        )
 
 
 def squared_widths(

@@ -11,7 +11,8 @@ import pytest
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.reconstruction.source_search import coherent_deg, coherent_nm, find_source
+from wavesim.reconstruction import source_search
+from wavesim.reconstruction.source_search import SourceWarning, coherent_deg, coherent_nm, find_source
 from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import ReconstructionSettings
@@ -123,3 +124,32 @@ def test_width_and_bandwidth_are_found_together() -> None:
     assert found.source.width_deg == pytest.approx(true.width_deg, rel=0.07)
     assert found.source.bandwidth_nm == pytest.approx(true.bandwidth_nm, rel=0.07)
     assert set(found.deviations) == {"width_deg", "bandwidth_nm"}
+
+
+def test_a_band_beyond_the_limit_of_the_search_is_not_stated_as_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With a limit of one speckle in place of eight, for light of two."""
+    monkeypatch.setattr(source_search, "BROADEST", 1.0)
+    engine = far_field()
+    light = lit_by(engine)
+    planes = planes_in(engine, light, Source(0.0, 2.0 * coherent_nm(light)).modes(0.532))
+    settings = ReconstructionSettings(kind="amplitude", bandwidth_nm="find")
+    with pytest.warns(SourceWarning, match=f"{coherent_nm(light):.3g} nm is the limit of the search"):
+        found = find_source(engine, light, planes, settings, lambda text: None)
+    assert found.source.bandwidth_nm == pytest.approx(coherent_nm(light))
+    assert found.at_limit == ("bandwidth_nm",)
+    assert found.deviations == {}
+
+
+def test_a_width_that_has_not_converged_is_not_stated_as_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source_search, "MOST_WIDTHS", 1)
+    engine = far_field()
+    light = lit_by(engine)
+    planes = planes_in(engine, light, Source(3.0 * coherent_deg(light)).modes(0.532, 3, 10))
+    settings = ReconstructionSettings(kind="amplitude", source_deg="find")
+    with pytest.warns(SourceWarning, match="did not converge with 1 sources"):
+        found = find_source(engine, light, planes, settings, lambda text: None)
+    assert not found.has_converged
+    assert not found.at_limit
+    assert found.deviations == {}
