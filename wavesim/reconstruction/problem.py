@@ -206,7 +206,8 @@ def reconstruction_problem(
         recorded = _with_scatter(lens, recorded, framed, AS_DESIGNED if state is None else state)
     recorded, held_out = hold_out(recorded, settings.hold_out_plane)
     frame_light = light_of_frames(scene, framed.frames, light)
-    source = _planned_source(settings, light, AS_DESIGNED if state is None else state)
+    known = stated_source(settings, AS_DESIGNED.source if state is None else state.source)
+    source = _planned_source(settings, light, known)
     modes = modes_on(light, source)
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
     engine = _engine(scene, settings, runs, limit, frame_light)
@@ -230,7 +231,7 @@ def reconstruction_problem(
     )
     memory = Memory(need, limit)
     scratch = scratch_in(folder, _scratch_limit(memory, settings))
-    key = _key(lens, framed.frames, settings, light, recorded, engine, source)
+    key = _key(lens, framed.frames, settings, light, recorded, engine, known)
     predicted_error, even = engine.predicted_error(frame_light), frame_light.even
     stored_light = light.with_values(scratch.held(light.values, "the illumination"))
 
@@ -270,17 +271,10 @@ def reconstruction_problem(
     )
 
 
-def _planned_source(settings: ReconstructionSettings, light: Field, state: SystemState) -> Source:
-    """Return the source that settings state, or else that of the calibrated bench.
-
-    A source that is to be found counts as extended, and as broad as it may be, until it is known.
-    """
-    width_deg = settings.source_deg or state.source.width_deg
-    bandwidth_nm = settings.bandwidth_nm or state.source.bandwidth_nm
-    return Source(
-        1.0 if width_deg == "find" else width_deg,
-        BROADEST * coherent_nm(light) if bandwidth_nm == "find" else bandwidth_nm,
-    )
+def _planned_source(settings: ReconstructionSettings, light: Field, known: Source) -> Source:
+    """Return the known source, where a width that is to be found is as large as it may be."""
+    largest = {"width_deg": 1.0, "bandwidth_nm": BROADEST * coherent_nm(light)}
+    return replace(known, **{name: largest[name] for name in sought_widths(settings)})
 
 
 def _with_scatter(
@@ -400,9 +394,11 @@ def _key(
     light: Field,
     recorded: Sequence[Measurement],
     engine: Engine,
-    source: Source,
+    known: Source,
 ) -> str:
     names = set(KEY_SETTINGS)
+    if settings.source_deg is None:  # as earlier versions wrote it, so that their checkpoints stay usable
+        settings = settings.replaced(source_deg=0.0)
     if settings.bandwidth_nm:  # left out otherwise, so that earlier checkpoints stay usable
         names.add("bandwidth_nm")
     settings_json = settings.model_dump_json(include=names)
@@ -410,8 +406,8 @@ def _key(
         (p.distance_mm, p.shift_mm, p.tilt_deg, None if p.background is None else float(p.background.mean()))
         for p in recorded
     ]
-    is_calibrated = source != stated_source(settings) and not sought_widths(settings)
-    bench = (light.grid.z_mm, planes, source) if is_calibrated else (light.grid.z_mm, planes)
+    is_calibrated = known != stated_source(settings)
+    bench = (light.grid.z_mm, planes, known) if is_calibrated else (light.grid.z_mm, planes)
     return key_of_frames(lens, frames, light, settings_json, engine.key(), str(bench))
 
 

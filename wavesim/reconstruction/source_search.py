@@ -81,9 +81,19 @@ class FoundSource:
     has_converged: bool = True
 
 
-def stated_source(settings: FramedSettings) -> Source:
-    """Return the source that settings state; widths that are to be found are 0."""
-    return Source(*(0.0 if w == "find" else w for w in (settings.source_deg, settings.bandwidth_nm)))
+def stated_source(settings: FramedSettings, calibrated: Source = POINT) -> Source:
+    """Return the source that settings state; each width that they do not state is that of a calibration.
+
+    Widths that are to be found are 0.
+    """
+    values = zip(
+        (settings.source_deg, settings.bandwidth_nm),
+        (calibrated.width_deg, calibrated.bandwidth_nm),
+        strict=True,
+    )
+    return Source(
+        *(known if value is None else 0.0 if value == "find" else value for value, known in values)
+    )
 
 
 def sought_widths(settings: FramedSettings) -> tuple[str, ...]:

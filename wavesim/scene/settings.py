@@ -640,26 +640,26 @@ class FramedSettings(EngineSettings, PatchSettings):
         description="Linear fill factor of a pixel (0 to 1).",
         json_schema_extra={"group": OptionGroup.CAMERA},
     )
-    source_deg: float | Literal["find"] = Field(
-        0.0,
-        description="Diameter of the light source (partial coherence), or find.",
+    source_deg: float | Literal["find"] | None = Field(
+        None,
+        description="Diameter of the light source (partial coherence), or find; default: as calibrated, or 0.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
-    bandwidth_nm: float | Literal["find"] = Field(
-        0.0,
-        description="Full width of the light's rectangular spectrum, or find.",
+    bandwidth_nm: float | Literal["find"] | None = Field(
+        None,
+        description="Full width of the light's rectangular spectrum, or find; default: as calibrated, or 0.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
 
     @field_validator("source_deg", "bandwidth_nm")
     @classmethod
-    def _width_within_limits(cls, width: float | str, info: ValidationInfo) -> float | str:
+    def _width_within_limits(cls, width: float | str | None, info: ValidationInfo) -> float | str | None:
         limits = {
             "source_deg": (90.0, "from 0 to below 90"),
             "bandwidth_nm": (math.inf, "finite and not negative"),
         }
         limit, allowed = limits[str(info.field_name)]
-        if not isinstance(width, str) and not 0.0 <= width < limit:
+        if isinstance(width, int | float) and not 0.0 <= width < limit:
             raise ValueError(f"must be {allowed}, or 'find'")
         return width
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,10 @@ from wavesim.reconstruction.problem import ReconstructionProblem, light_of_frame
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings
+from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import recorded_planes
+from wavesim.sensor.frames import Frame
 from wavesim.sensor.imaging import image
 from wavesim.sensor.measurement import Measurement, noise_misfit, placed_planes
 from wavesim.sensor.windows import exit_scene
@@ -185,3 +188,46 @@ def _ring(scene: Any) -> tuple[Any, Any]:
     axes = (scene.exit_grid.y_mm, scene.exit_grid.x_mm)
     inside, within = (inside_border(moved(rim, by), axes) for by in (-0.2 * width, -width))
     return np.nonzero(inside & ~within)
+
+
+@pytest.fixture(scope="module")
+def few_frames() -> tuple[Lens, tuple[Frame, ...]]:
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    made = image(lens, "star", patch_mm=0.03, planes_mm=(0.03, 0.3), engine="eikonal", error=0.1)
+    return lens, made.frames
+
+
+CALIBRATED = SystemState(source=Source(0.4, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("stated", "used"),
+    [
+        ({}, Source(0.4, 20.0)),
+        ({"source_deg": 0.0}, Source(0.0, 20.0)),
+        ({"bandwidth_nm": 0}, Source(0.4, 0.0)),
+        ({"source_deg": 0.1, "bandwidth_nm": 0.0}, Source(0.1, 0.0)),
+    ],
+)
+def test_settings_replace_each_width_of_a_calibrated_source(
+    few_frames: tuple[Lens, tuple[Frame, ...]], stated: dict[str, float], used: Source
+) -> None:
+    settings = ReconstructionSettings(patch_mm=0.03, error=0.1, engine="eikonal", **stated)
+    case = reconstruction_problem(*few_frames, settings, None, CALIBRATED, None)
+    assert case.source == used
+
+
+def test_a_checkpoint_belongs_to_the_source_that_is_known(
+    few_frames: tuple[Lens, tuple[Frame, ...]], tmp_path: Path
+) -> None:
+    def key(source: Source, **changes: Any) -> str:
+        settings = ReconstructionSettings(patch_mm=0.03, error=0.1, engine="eikonal", **changes)
+        case = reconstruction_problem(*few_frames, settings, None, SystemState(source=source), tmp_path)
+        assert case.checkpoint is not None
+        return case.checkpoint.key
+
+    narrow, wide = Source(0.2), Source(0.4)
+    assert key(narrow, bandwidth_nm="find") != key(wide, bandwidth_nm="find")
+    assert key(narrow, source_deg="find") == key(wide, source_deg="find")
+    assert key(Source()) == key(Source(), source_deg=0.0)
+    assert key(narrow) != key(wide)
