@@ -29,11 +29,16 @@ from wavesim.metrics.goodness_of_fit import Finding, GoodnessOfFit, verdict
 from wavesim.metrics.result_quality import plane_metrics, truth_metrics
 from wavesim.reconstruction.assessment import plane_residuals
 from wavesim.reconstruction.layered import Layers, find_layers
-from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem, validate_frames
+from wavesim.reconstruction.problem import (
+    ReconstructionProblem,
+    reconstruction_problem,
+    validate_coherent,
+    validate_frames,
+)
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings, SettingError
-from wavesim.scene.system_state import SystemState
+from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.frame_sets import PlaneFrames, recorded_planes
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement, intensity_deviation
@@ -253,6 +258,8 @@ def reconstruct_layers(
     distances = tuple(float(one) for one in layers_um)
     _validate_settings(settings)
     validate_distances(distances)
+    state = None if calibration is None else state_of(calibration)
+    validate_coherent(settings, state, "{layers_um}")
     validate_frames(lens, frames, settings)
     if not frames:
         raise InputError("frames: needs at least one frame")
@@ -378,7 +385,9 @@ def why_undetermined(recording: Oversampling) -> str:
 def _validate_settings(settings: ReconstructionSettings) -> None:
     """Check that no setting is given that layers cannot use."""
     for name in UNUSED_SETTINGS:
-        if getattr(settings, name) != type(settings).model_fields[name].get_default():
+        stated, default = getattr(settings, name), type(settings).model_fields[name].get_default()
+        # A source of width 0 is the coherent light that layers assume.
+        if stated != default and not (name in ("source_deg", "bandwidth_nm") and stated == 0.0):
             raise SettingError(f"{{{name}}}: cannot be used with {{layers_um}}")
 
 

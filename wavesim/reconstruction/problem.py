@@ -40,7 +40,7 @@ from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
-from wavesim.scene.source import Source, SourceMode
+from wavesim.scene.source import POINT, Source, SourceMode
 from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
 from wavesim.sensor.duplicate_frames import validate_distinct_frames
 from wavesim.sensor.frame_sets import (
@@ -194,6 +194,8 @@ def reconstruction_problem(
         raise SettingError(
             "{method} paper: needs frames of at least two planes; with one plane use {method} object"
         )
+    if settings.method == "paper":
+        validate_coherent(settings, state, "{method} paper")
     shown, inside = _shown_part(patch, settings.region_mm)
     true = None if truth is None else _true_object(truth, patch)
     charts = usaf_charts_of(patch, settings.chart_at_mm) if settings.usaf else ()
@@ -269,6 +271,32 @@ def reconstruction_problem(
         rounding=max(rounding_fraction(frame) for frame in framed.frames),
         light_behind=lambda other: _light_behind(other, settings, state),
     )
+
+
+def validate_coherent(settings: ReconstructionSettings, state: SystemState | None, user: str) -> None:
+    """Check that light is coherent where a reconstruction assumes this.
+
+    Parameters
+    ----------
+    settings
+        Settings of the reconstruction.
+    state
+        Calibrated bench, if there is one.
+    user
+        Name of the method that assumes coherent light, for the message.
+
+    Raises
+    ------
+    SettingError
+        If the calibrated light is not coherent, and the settings do not state another source.
+    """
+    source = stated_source(settings, AS_DESIGNED.source if state is None else state.source)
+    if source != POINT:
+        widths = ", ".join(source.lines({}))
+        raise SettingError(
+            f"{{calibration}}: its light is not coherent ({widths}): cannot be used with {user}, which "
+            "assumes coherent light; to neglect this, state {source_deg} 0 and {bandwidth_nm} 0"
+        )
 
 
 def _planned_source(settings: ReconstructionSettings, light: Field, known: Source) -> Source:

@@ -17,6 +17,8 @@ from wavesim.reconstruction.layer_reconstruction import (
     why_undetermined,
 )
 from wavesim.scene.settings import ReconstructionSettings, SettingError
+from wavesim.scene.source import Source
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
 
 CASE = Case("amplitude", "sparse", (-20.0, 0.0), 2, stop_mm=0.016)
@@ -103,3 +105,16 @@ def test_settings_that_layers_cannot_use_are_refused() -> None:
         reconstruct_layers(
             lens, frames_of_one_plane(), CASE.layers_um, settings(), truth=true, undetermined=True
         )
+
+
+def test_light_that_is_not_coherent_is_refused() -> None:
+    lens, _ = bench(CASE.stop_mm)
+    broad = SystemState(source=Source(0.4, 20.0))
+    message = r"calibration: its light is not coherent \(diameter of the light source 0.4°.* 20 nm.*layers_um.*source_deg 0"
+    with pytest.raises(SettingError, match=message):
+        reconstruct_layers(lens, frames_of_one_plane(), CASE.layers_um, settings(), calibration=broad)
+    coherent = settings(source_deg=0.0, bandwidth_nm=0.0)
+    with pytest.raises(SettingError, match="are required"):  # the next check, of the oversampling
+        reconstruct_layers(lens, frames_of_one_plane(), CASE.layers_um, coherent, calibration=broad)
+    with pytest.raises(SettingError, match="source_deg: cannot be used with layers_um"):
+        reconstruct_layers(lens, frames_of_one_plane(), CASE.layers_um, settings(source_deg=0.4))

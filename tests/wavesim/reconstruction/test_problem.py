@@ -24,7 +24,7 @@ from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.problem import ReconstructionProblem, light_of_frames, reconstruction_problem
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scattered_light import Light
-from wavesim.scene.settings import PatchSettings, ReconstructionSettings
+from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import recorded_planes
@@ -231,3 +231,13 @@ def test_a_checkpoint_belongs_to_the_source_that_is_known(
     assert key(narrow, source_deg="find") == key(wide, source_deg="find")
     assert key(Source()) == key(Source(), source_deg=0.0)
     assert key(narrow) != key(wide)
+
+
+def test_the_method_of_the_paper_refuses_a_calibrated_source(
+    few_frames: tuple[Lens, tuple[Frame, ...]],
+) -> None:
+    settings = ReconstructionSettings(patch_mm=0.03, error=0.1, engine="eikonal", method="paper")
+    with pytest.raises(SettingError, match=r"calibration: its light is not coherent .*20 nm.*method paper.*source_deg 0"):
+        reconstruction_problem(*few_frames, settings, None, CALIBRATED, None)
+    coherent = settings.replaced(source_deg=0.0, bandwidth_nm=0.0)
+    assert reconstruction_problem(*few_frames, coherent, None, CALIBRATED, None).source == Source()
