@@ -308,6 +308,7 @@ def _with_stop(problem: CalibrationProblem, progress: Progress) -> CalibrationSe
 def _stop_search(problem: CalibrationProblem, state: SystemState, progress: Progress) -> StopSearch:
     """Return the search for the field stop on a bench."""
     settings, patch = problem.settings, problem.framed.patch
+    modes = modes_on(placed_light(problem.framed.light, state), state.source)
     return StopSearch(
         problem.make(placed_scene(problem.scene, state)),
         placed_planes(problem.recorded, state),
@@ -316,7 +317,8 @@ def _stop_search(problem: CalibrationProblem, state: SystemState, progress: Prog
         settings.kind,
         settings.scale,
         settings.fill_factor,
-        progress=lambda text: progress(text, 0, 0),
+        modes,
+        lambda text: progress(text, 0, 0),
     )
 
 

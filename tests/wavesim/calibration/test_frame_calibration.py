@@ -20,7 +20,7 @@ from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibrat
 from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.reconstruction.field_stop import StopSearch
+from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings
@@ -207,3 +207,22 @@ def test_bench_and_bandwidth_are_found_in_turn() -> None:
     known = taken.target.transmission
     with pytest.raises(InputError, match="known"):
         calibrate_frames(lens, taken.frames, known=known, bandwidth_nm=30.0, **patch)
+
+
+def test_a_field_stop_is_sought_in_the_light_of_the_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light of the width that is coherent over about half of the stop."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    patch: dict[str, Any] = {"patch_mm": 0.03, "field_stop_mm": 0.024, "engine": "eikonal", "error": 0.1}
+    taken = image(lens, "star", planes_mm=(0.03,), source_deg=1.3, exposures=(1.0, 30.0, 1000.0), **patch)
+    misfits: list[float] = []
+
+    def run(self: StopSearch, *given: Any) -> FieldStop:
+        stop = FieldStop(0.024, (0.0, 0.0))
+        misfits.extend(replace(self, modes=modes).misfit(stop, 25) for modes in (self.modes, ()))
+        return stop
+
+    monkeypatch.setattr(StopSearch, "run", run)
+    search = {"parameters": "decenter_x_mm", "kind": "amplitude", "iterations": 1, "most_mountings": 1}
+    calibrate_frames(lens, taken.frames, source_deg=1.3, field_stop="find", assess=False, **patch, **search)
+    in_its_light, in_coherent_light = misfits
+    assert in_its_light < 0.8 * in_coherent_light
