@@ -26,9 +26,22 @@ from wavesim.metrics.goodness_of_fit import Finding, PlaneResidual, verdict, wit
 from wavesim.metrics.next_steps import STOP_CAUSE
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-from wavesim.reconstruction.problem import validate_frames
-from wavesim.reconstruction.source_search import find_source, modes_on, sought_widths, stated_source
-from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
+from wavesim.reconstruction.problem import key_of_frames, patch_of_frames, validate_frames
+from wavesim.reconstruction.source_search import (
+    FoundSource,
+    SourceWarning,
+    find_source,
+    modes_on,
+    sought_widths,
+    stated_source,
+)
+from wavesim.runtime.checkpoint import (
+    CHECKPOINT,
+    EMPTY_CHECKPOINT,
+    SOURCE_CHECKPOINT,
+    STOP_CHECKPOINT,
+    Checkpoint,
+)
 from wavesim.scene.engine import Tiled
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scene import placed_light, placed_scene
@@ -39,7 +52,7 @@ from wavesim.scene.settings import (
     SettingError,
     StopOrigin,
 )
-from wavesim.scene.source import POINT
+from wavesim.scene.source import POINT, Source
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import planes_of_frames
 from wavesim.sensor.frames import Frame
@@ -191,37 +204,91 @@ def _calibrated_with_source(
     """Return the bench and the source of its light, found in turn until the source stays.
 
     The first bench is that of a point source, because a bench that is as designed would make blur of the
-    errors of the mounting.
+    errors of the mounting. If the source does not stay, the bench is that of the last source, and a warning
+    says so. After an interrupt, the search continues with the sources that were found.
     """
-    source, sought = stated_source(requested), sought_widths(requested)
+    sought = sought_widths(requested)
     solver = ReconstructionSettings(
         **requested.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
     )
-    for _ in range(MOST_SOURCE_SEARCHES):
-        stated = requested.replaced(source_deg=source.width_deg, bandwidth_nm=source.bandwidth_nm)
-        found, settings = _calibrated(lens, frames, stated, empty, priors, folder, progress)
-        problem = CalibrationProblem(lens, frames, settings)
-        estimate = find_source(
-            problem.make(placed_scene(problem.scene, found.state)),
-            placed_light(problem.framed.light, found.state),
-            placed_planes(problem.recorded, found.state),
-            solver,
-            lambda text: progress(text, 0, 0),
-            known=source,
-        )
-        changes = {name: abs(getattr(estimate.source, name) - getattr(source, name)) for name in sought}
-        source = estimate.source
-        found = replace(
-            found, state=replace(found.state, source=source), source_deviations=estimate.deviations
-        )
-        # Relative change of a width, or change in its deviations, up to which the bench stays.
-        tolerance, tolerated_deviations = 0.03, 2.0
-        if all(
-            change <= max(tolerance * getattr(source, name), tolerated_deviations * estimate.deviations[name])
-            for name, change in changes.items()
-        ):
-            break
-    return found, settings
+    saved = _source_checkpoint(lens, frames, requested, empty, priors, folder)
+    sources = [stated_source(requested), *_saved_sources(saved)]
+    try:
+        while True:
+            source = sources[-1]
+            stated = requested.replaced(source_deg=source.width_deg, bandwidth_nm=source.bandwidth_nm)
+            found, settings = _calibrated(lens, frames, stated, empty, priors, folder, progress)
+            if len(sources) > MOST_SOURCE_SEARCHES:
+                _warn_of_changes(*sources[-2:])
+                return found, settings
+            problem = CalibrationProblem(lens, frames, settings)
+            estimate = find_source(
+                problem.make(placed_scene(problem.scene, found.state)),
+                placed_light(problem.framed.light, found.state),
+                placed_planes(problem.recorded, found.state),
+                solver,
+                lambda text: progress(text, 0, 0),
+                known=source,
+            )
+            if all(_is_settled(name, source, estimate) for name in sought):
+                state = replace(found.state, source=estimate.source)
+                return replace(found, state=state, source_deviations=estimate.deviations), settings
+            sources.append(estimate.source)
+            if saved is not None:
+                saved.keep(widths=[(one.width_deg, one.bandwidth_nm) for one in sources[1:]])
+    except KeyboardInterrupt:
+        if saved is None or len(sources) == 1:
+            raise
+        raise KeyboardInterrupt(
+            f"interrupted after search {len(sources) - 1} for the source of the light; run the same command "
+            "again to continue"
+        ) from None
+
+
+def _warn_of_changes(before: Source, last: Source) -> None:
+    before_text, last_text = (", ".join(one.lines({})) or "point source" for one in (before, last))
+    warnings.warn(
+        f"the source of the light still changes after {MOST_SOURCE_SEARCHES} searches (last change: from "
+        f"{before_text} to {last_text}), so that it is not determined; state it if it is known",
+        SourceWarning,
+        stacklevel=4,
+    )
+
+
+def _is_settled(name: str, before: Source, estimate: FoundSource) -> bool:
+    """Return whether a new estimate of a width differs little from the previous one.
+
+    Blur grows with the squared width. The deviation of a width of 0 is the width that is still possible.
+    """
+    width, deviation = getattr(estimate.source, name), estimate.deviations.get(name, 0.0)
+    # Relative change of a width, or change in its deviations, up to which the bench stays.
+    tolerance, tolerated_deviations = 0.03, 2.0
+    tolerated = 2.0 * width * max(tolerance * width, tolerated_deviations * deviation)
+    if not width:
+        tolerated = deviation**2
+    return bool(abs(width**2 - getattr(before, name) ** 2) <= tolerated)
+
+
+def _source_checkpoint(
+    lens: Lens,
+    frames: Sequence[Frame],
+    requested: CalibrationSettings,
+    empty: Sequence[Frame] | None,
+    priors: Mapping[str, float] | None,
+    folder: Path | None,
+) -> Checkpoint | None:
+    """Return the checkpoint of the sources that were found."""
+    if folder is None:
+        return None
+    light = patch_of_frames(lens, frames, requested).light
+    statement = requested.model_dump_json(), str(sorted((priors or {}).items()))
+    key = key_of_frames(lens, (*frames, *(empty or ())), light, *statement)
+    return Checkpoint(folder / SOURCE_CHECKPOINT, key)
+
+
+def _saved_sources(saved: Checkpoint | None) -> list[Source]:
+    stored = None if saved is None else saved.load()
+    return [] if stored is None else [Source(*widths) for widths in stored["widths"].tolist()]
 
 
 def _calibrated_with_known_object(

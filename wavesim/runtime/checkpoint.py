@@ -14,16 +14,17 @@ from lensdesign.common.array_files import read_arrays
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.errors import InputError
 
-CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT = (
+CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT, SOURCE_CHECKPOINT = (
     "checkpoint.npz",
     "checkpoint_empty.npz",
     "checkpoint_stop.npz",
+    "checkpoint_source.npz",
 )
-"""Names of the checkpoints of a run, of a search in frames without an object, and of a search that follows a
-change of the field stop.
+"""Names of the checkpoints of a run, of a search in frames without an object, of a search that follows a
+change of the field stop, and of the sources of light that were found.
 """
 
-SEARCH_CHECKPOINTS = CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
+SEARCH_CHECKPOINTS = CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT, SOURCE_CHECKPOINT
 """Names of all checkpoints of a calibration."""
 
 

@@ -16,14 +16,17 @@ from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim import image
-from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
+from wavesim.calibration import calibrate_empty, calibrate_frames, frame_calibration, read_calibration
 from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
+from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.reconstruction.source_search import FoundSource, SourceWarning
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings
+from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
 
@@ -226,3 +229,81 @@ def test_a_field_stop_is_sought_in_the_light_of_the_source(monkeypatch: pytest.M
     calibrate_frames(lens, taken.frames, source_deg=1.3, field_stop="find", assess=False, **patch, **search)
     in_its_light, in_coherent_light = misfits
     assert in_its_light < 0.8 * in_coherent_light
+
+
+QUICK_SEARCH: dict[str, Any] = {
+    "parameters": "decenter_x_mm",
+    "kind": "amplitude",
+    "iterations": 1,
+    "most_mountings": 2,
+    "patch_mm": 0.03,
+    "error": 0.1,
+    "assess": False,
+}
+
+
+@pytest.fixture(scope="module")
+def one_frame() -> tuple[Lens, tuple[Frame, ...]]:
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    return lens, image(lens, "star", patch_mm=0.03, planes_mm=(0.03,), engine="eikonal", error=0.1).frames
+
+
+def estimating(monkeypatch: pytest.MonkeyPatch, estimates: list[tuple[float, float]]) -> list[Source]:
+    """Let searches for the source find widths and deviations in turn; return the sources where they start."""
+    starts: list[Source] = []
+
+    def find(engine: Any, light: Field, *given: Any, known: Source) -> FoundSource:
+        width_deg, deviation = estimates[len(starts)]
+        starts.append(known)
+        return FoundSource(Source(width_deg), {"width_deg": deviation}, light)
+
+    monkeypatch.setattr(frame_calibration, "find_source", find)
+    return starts
+
+
+def test_a_source_that_does_not_stay_has_a_warning_and_a_bench_of_its_own(
+    one_frame: tuple[Lens, tuple[Frame, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimating(monkeypatch, [(0.3, 0.01), (0.6, 0.01), (0.9, 0.01)])
+    with pytest.warns(SourceWarning, match=r"from .*0.6° to .*0.9°"):
+        found = calibrate_frames(*one_frame, source_deg="find", **QUICK_SEARCH)
+    assert found.state.source == Source(0.9)
+    assert found.source_deviations == {}
+    stated = calibrate_frames(*one_frame, source_deg=0.9, **QUICK_SEARCH)
+    assert (found.misfit, found.values) == (stated.misfit, stated.values)
+
+
+@pytest.mark.parametrize(("bound_deg", "searches"), [(0.2, 3), (0.35, 2)])
+def test_a_point_source_stays_where_the_width_before_is_possible(
+    one_frame: tuple[Lens, tuple[Frame, ...]],
+    monkeypatch: pytest.MonkeyPatch,
+    bound_deg: float,
+    searches: int,
+) -> None:
+    """A source of 0.3 deg first, then a point, with the largest width that is still possible."""
+    starts = estimating(monkeypatch, [(0.3, 0.01), (0.0, bound_deg), (0.0, bound_deg)])
+    found = calibrate_frames(*one_frame, source_deg="find", **QUICK_SEARCH)
+    assert found.state.source == Source()
+    assert found.source_deviations == {"width_deg": bound_deg}
+    assert len(starts) == searches
+
+
+def test_an_interrupted_search_in_light_of_a_found_source_continues_there(
+    one_frame: tuple[Lens, tuple[Frame, ...]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    starts = estimating(monkeypatch, [(0.3, 0.01), (0.3, 0.01)])
+    settings = {**QUICK_SEARCH, "source_deg": "find", "folder": tmp_path}
+    whole = calibrate_frames(*one_frame, **settings | {"folder": None})
+    assert starts == [Source(), Source(0.3)]
+    starts.clear()
+
+    def interrupt(what: str, done: int, count: int) -> None:
+        if starts and done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt, match=r"after search 1 .* run the same command"):
+        calibrate_frames(*one_frame, progress=interrupt, **settings)
+    assert starts == [Source()]
+    again = calibrate_frames(*one_frame, **settings)
+    assert starts == [Source(), Source(0.3)]
+    assert (again.misfit, again.values) == (whole.misfit, whole.values)
