@@ -452,7 +452,8 @@ def calibrate_empty(
     empty
         Frames without an object.
     start
-        Lens, mounting and camera as far as they are not sought; its light is ignored.
+        Lens, mounting and camera as far as they are not sought, and each width of the source that settings
+        do not state; its light is ignored.
 
     Returns
     -------
@@ -470,13 +471,19 @@ def calibrate_empty(
         If the frames are not fully explained.
     """
     settings = (settings or CalibrationSettings()).replaced(**changes)
+    for name in ("source_deg", "bandwidth_nm"):
+        if getattr(settings, name) == "find":
+            raise SettingError(
+                f"{{{name}}} find: cannot be used with frames without an object, which hardly depend on the "
+                "source; state it, or find it by `wavesim calibrate` together with frames of an object"
+            )
     validate_frames(lens, empty, settings)
     problem = CalibrationProblem(lens, empty, settings, priors)
     progress = progress or (lambda what, done, count: None)
     everything = problem.parameters("all", light_order=LIGHT_ORDER_ALONE)
     requested = problem.parameters(light_order=LIGHT_ORDER_ALONE)
     parameters_sought = tuple(p for p in everything if p.group == "light" or p in requested)
-    source = problem.start.source if start is None or stated_source(settings) != POINT else start.source
+    source = stated_source(settings, POINT if start is None else start.source)
     unknowns = Unknowns(lens, replace(start or problem.start, light=LightErrors(), source=source))
     checkpoint_path = None if folder is None else folder / EMPTY_CHECKPOINT
     known = np.ones(problem.framed.light.grid.shape, np.float32)

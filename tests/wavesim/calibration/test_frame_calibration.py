@@ -307,3 +307,13 @@ def test_an_interrupted_search_in_light_of_a_found_source_continues_there(
     again = calibrate_frames(*one_frame, **settings)
     assert starts == [Source(), Source(0.3)]
     assert (again.misfit, again.values) == (whole.misfit, whole.values)
+
+
+def test_the_light_of_empty_frames_has_each_width_of_the_source_that_is_known(
+    lens: Lens, empty: tuple[Frame, ...]
+) -> None:
+    start = SystemState(source=Source(0.1, 0.5))
+    found = calibrate_empty(lens, empty, SETTINGS, start=start, bandwidth_nm=0.0)
+    assert found.state.source == Source(0.1, 0.0)
+    with pytest.raises(InputError, match="bandwidth_nm find: cannot be used with frames without an object"):
+        calibrate_empty(lens, empty, SETTINGS, bandwidth_nm="find")
