@@ -91,9 +91,7 @@ def stated_source(settings: FramedSettings, calibrated: Source = POINT) -> Sourc
         (calibrated.width_deg, calibrated.bandwidth_nm),
         strict=True,
     )
-    return Source(
-        *(known if value is None else 0.0 if value == "find" else value for value, known in values)
-    )
+    return Source(*(known if value is None else 0.0 if value == "find" else value for value, known in values))
 
 
 def sought_widths(settings: FramedSettings) -> tuple[str, ...]:
@@ -222,8 +220,8 @@ def _warn_of_undetermined(
         warnings.warn(message, SourceWarning, stacklevel=3)
     if not has_converged:
         warnings.warn(
-            f"{_source_text(source, sought)}: the search did not converge with {MOST_WIDTHS} sources, so that "
-            "this is not determined; state it if it is known",
+            f"{_source_text(source, sought)}: the search did not converge with {MOST_WIDTHS} sources, so "
+            "that this is not determined; state it if it is known",
             SourceWarning,
             stacklevel=3,
         )

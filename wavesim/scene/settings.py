@@ -642,12 +642,12 @@ class FramedSettings(EngineSettings, PatchSettings):
     )
     source_deg: float | Literal["find"] | None = Field(
         None,
-        description="Diameter of the light source (partial coherence), or find; default: as calibrated, or 0.",
+        description="Diameter of the light source (partial coherence), or find; default: calibrated, or 0.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
     bandwidth_nm: float | Literal["find"] | None = Field(
         None,
-        description="Full width of the light's rectangular spectrum, or find; default: as calibrated, or 0.",
+        description="Full width of the light's rectangular spectrum, or find; default: calibrated, or 0.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
 

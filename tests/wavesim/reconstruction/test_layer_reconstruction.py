@@ -110,7 +110,7 @@ def test_settings_that_layers_cannot_use_are_refused() -> None:
 def test_light_that_is_not_coherent_is_refused() -> None:
     lens, _ = bench(CASE.stop_mm)
     broad = SystemState(source=Source(0.4, 20.0))
-    message = r"calibration: its light is not coherent \(diameter of the light source 0.4°.* 20 nm.*layers_um.*source_deg 0"
+    message = r"calibration: its light is not coherent \(diameter .* 0.4°.* 20 nm.*layers_um.*source_deg 0"
     with pytest.raises(SettingError, match=message):
         reconstruct_layers(lens, frames_of_one_plane(), CASE.layers_um, settings(), calibration=broad)
     coherent = settings(source_deg=0.0, bandwidth_nm=0.0)

@@ -237,7 +237,9 @@ def test_the_method_of_the_paper_refuses_a_calibrated_source(
     few_frames: tuple[Lens, tuple[Frame, ...]],
 ) -> None:
     settings = ReconstructionSettings(patch_mm=0.03, error=0.1, engine="eikonal", method="paper")
-    with pytest.raises(SettingError, match=r"calibration: its light is not coherent .*20 nm.*method paper.*source_deg 0"):
+    with pytest.raises(
+        SettingError, match=r"calibration: its light is not coherent .*20 nm.*method paper.*source_deg 0"
+    ):
         reconstruction_problem(*few_frames, settings, None, CALIBRATED, None)
     coherent = settings.replaced(source_deg=0.0, bandwidth_nm=0.0)
     assert reconstruction_problem(*few_frames, coherent, None, CALIBRATED, None).source == Source()
