@@ -36,7 +36,7 @@ from wavesim.calibration.parameters import (
 )
 from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.reconstruction.problem import key_of_frames, light_of_frames, patch_of_frames
-from wavesim.reconstruction.source_search import stated_source
+from wavesim.reconstruction.source_search import modes_on, stated_source
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import MemoryLimitError, memory_limit
 from wavesim.runtime.threads import one_blas_thread
@@ -58,6 +58,9 @@ IGNORED_SETTINGS = {
     "field_stop",
     "object_pitch_um",
     "illumination",
+    "source_distance_mm",
+    "speckle_na",
+    "speckle_seed",
     "most_mountings",
     "source_deg",
     "bandwidth_nm",
@@ -220,7 +223,7 @@ def search_bench(
         If the search is interrupted; the message says what was saved.
     """
     settings, light = problem.settings, problem.framed.light
-    _check_memory(len(parameters), problem)
+    _check_memory(len(parameters), len(modes_on(light, start.fixed.source)), problem)
     settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
     search_text = f"({dict(start.values)!r}, {_key_text(parameters)})"
     if start.fixed.source != POINT:
@@ -275,19 +278,21 @@ def search_bench(
     )
 
 
-def _check_memory(count: int, problem: CalibrationProblem) -> None:
-    """Check that the derivatives of all pixels fit in memory."""
+def _check_memory(count: int, modes: int, problem: CalibrationProblem) -> None:
+    """Check that the derivatives of all pixels, and the fields of all modes of the light, fit in memory."""
     pixels = sum(plane.amplitude.size for plane in problem.pixels.recorded)
-    # Arrays of the size of all pixels per parameter that exist at the end of a search.
-    arrays_per_parameter = 5
-    needed_bytes, free_bytes = (
-        arrays_per_parameter * count * pixels * np.dtype(np.float32).itemsize,
-        memory_limit(None),
-    )
+    # Arrays of the size of all pixels per parameter that exist at the end of a search, and those of each
+    # further mode: its rows and samples on the planes, six complex arrays.
+    arrays_per_parameter, arrays_per_mode = 5, 12
+    if modes > 1:  # the sums over the modes
+        arrays_per_parameter += 1
+    arrays = arrays_per_parameter * count + arrays_per_mode * (modes - 1)
+    needed_bytes, free_bytes = arrays * pixels * np.dtype(np.float32).itemsize, memory_limit(None)
     if needed_bytes > free_bytes:
+        in_modes = f" in light of {modes} modes" if modes > 1 else ""
         raise MemoryLimitError(
-            f"a search for {count} parameters in {pixels} pixels needs {1e-9 * needed_bytes:.3g} GB, and "
-            f"{1e-9 * free_bytes:.3g} GB are allowed: seek fewer parameters, or use a smaller "
+            f"a search for {count} parameters in {pixels} pixels{in_modes} needs {1e-9 * needed_bytes:.3g} "
+            f"GB, and {1e-9 * free_bytes:.3g} GB are allowed: seek fewer parameters, or use a smaller "
             "window of the frames"
         )
 

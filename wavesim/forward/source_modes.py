@@ -85,6 +85,11 @@ class ModesMeasurement:
             [one.products(part) for one, part in zip(self.measurements, parts, strict=True)], self.weights
         )
 
+    def products_of_mode(self, index: int, change: ComplexArray) -> list[RealArray]:
+        """Return the part of :meth:`products` that is due to a change of one mode's field, by its index."""
+        weight = self.weights[index]
+        return [part.dtype.type(weight) * part for part in self.measurements[index].products(change)]
+
     def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         """Return the adjoint of :meth:`products`: a change of the stacked fields for factors of pixels."""
         return np.concatenate(

@@ -140,12 +140,12 @@ class CalibrationPixels(ABC):
         """
         carried = [p for p in parameters if self._acts_on_rays(p)]
         derivatives = derivatives or self.ray_derivatives(unknowns, linear.model.engine, carried)
-        changes = iter(self._exit_field_changes(unknowns, linear, carried, derivatives) if carried else ())
+        ray_columns = iter(self._ray_columns(unknowns, linear, carried, derivatives) if carried else ())
         mode_fields: dict[Orders, ComplexArray] = {}
         result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
         for n, parameter in enumerate(parameters):
             if self._acts_on_rays(parameter):
-                result[n] = linear.jacobian_times_exit_field(next(changes))
+                result[n] = next(ray_columns)
             elif parameter.group == "light":
                 # Amplitude and phase of one mode have the same shape, so that one propagation serves both.
                 orders, change = light_orders(parameter.name), self.light_change(unknowns, parameter)
@@ -175,14 +175,14 @@ class CalibrationPixels(ABC):
         """
 
     @abstractmethod
-    def _exit_field_changes(
+    def _ray_columns(
         self,
         unknowns: Unknowns,
         linear: LinearModel,
         parameters: Sequence[Parameter],
         derivatives: RayDerivatives | None,
-    ) -> Iterable[ComplexArray]:
-        """Return changes of the field on the exit grid per unit of each parameter that acts on the rays."""
+    ) -> Iterable[RealArray]:
+        """Return changes of the modelled amplitudes per unit of each parameter that acts on the rays."""
 
     @abstractmethod
     def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
@@ -225,13 +225,13 @@ class DensePixels(CalibrationPixels):
         )
         return RayDerivatives.of(carried, [derivatives])
 
-    def _exit_field_changes(
+    def _ray_columns(
         self,
         unknowns: Unknowns,
         linear: LinearModel,
         parameters: Sequence[Parameter],
         derivatives: RayDerivatives | None,
-    ) -> Iterable[ComplexArray]:
+    ) -> Iterable[RealArray]:
         def changes(engine: Operator, lit: Field) -> list[ComplexArray]:
             if derivatives is None or not isinstance(engine, FlatTiles):
                 perturbed = [
@@ -241,12 +241,18 @@ class DensePixels(CalibrationPixels):
                 return exit_field_changes_by_engines(engine, lit, perturbed, self.make)
             return exit_field_changes_by_rays(engine, lit, derivatives.plane(0, parameters))
 
-        model = linear.model
+        model, measurement = linear.model, linear.measurement
         if not model.modes:
-            return changes(model.engine, linear.lit)
-        # Paths of rays change alike for all wavelengths of a band.
-        of_modes = [changes(model.engine_of(mode), mode.on(linear.lit)) for mode in model.modes]
-        return (np.concatenate(parts) for parts in zip(*of_modes, strict=True))
+            return map(linear.jacobian_times_exit_field, changes(model.engine, linear.lit))
+        assert isinstance(measurement, ModesMeasurement)
+        # Fields of one mode at a time, because those of all modes and parameters need much memory.
+        totals = np.zeros((len(parameters), *linear.residual.shape), linear.residual.dtype)
+        for index, mode in enumerate(model.modes):
+            # Paths of rays change alike for all wavelengths of a band.
+            of_mode = changes(model.engine_of(mode), mode.on(linear.lit))
+            for total, change in zip(totals, of_mode, strict=True):
+                total += measurement.products_of_mode(index, change)
+        return map(linear.amplitude_changes, totals)
 
     def _perturbed_scenes(self, unknowns: Unknowns, parameters: Sequence[Parameter]) -> list[PerturbedScene]:
         states = [stepped(unknowns, p).state for p in parameters]
@@ -359,13 +365,13 @@ class SparsePixels(CalibrationPixels):
             planes.append(path_derivatives(plane, dtype, changed))
         return RayDerivatives.of(carried, planes)
 
-    def _exit_field_changes(
+    def _ray_columns(
         self,
         unknowns: Unknowns,
         linear: LinearModel,
         parameters: Sequence[Parameter],
         derivatives: RayDerivatives | None,
-    ) -> Iterable[ComplexArray]:
+    ) -> Iterable[RealArray]:
         operator = linear.model.engine
         assert isinstance(operator, TilesToPlanes)
         assert derivatives is not None
@@ -373,7 +379,8 @@ class SparsePixels(CalibrationPixels):
             exit_field_changes_by_rays(plane, linear.lit, derivatives.plane(n, parameters))
             for n, plane in enumerate(operator.planes)
         ]
-        return (np.concatenate(parts) for parts in zip(*planes, strict=True))
+        changes = (np.concatenate(parts) for parts in zip(*planes, strict=True))
+        return map(linear.jacobian_times_exit_field, changes)
 
     def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
         raise AssertionError(f"{parameter.name}: changes rays, not the camera")

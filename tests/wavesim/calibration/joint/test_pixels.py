@@ -21,6 +21,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.forward.linear_model import LinearModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
+from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import Measurement, noise_misfit
 
@@ -112,6 +113,22 @@ def test_columns_are_the_slopes_of_the_residuals(seen: tuple, name: str) -> None
     moved = LinearModel(some.model(there, reference), bars, False)
     change = (here.residual - moved.residual) / step
     assert np.linalg.norm(change - column) < 0.1 * np.linalg.norm(column)
+
+
+@pytest.mark.parametrize("source", [Source(0.5), Source(0.0, 20.0)])
+def test_columns_of_several_modes_are_the_slopes_of_the_residuals(seen: tuple, source: Source) -> None:
+    lens, every, _, bars = seen
+    bench = Unknowns(lens, SystemState(source=source), BENCH)
+    allowed = bench_parameters(lens, 2, 0.025, WAVELENGTH_UM)
+    parameters = chosen_parameters("decenter_y_mm,surface_2_radius_mm", allowed)
+    here = LinearModel(every.model(bench), bars, False)
+    columns = every.columns(bench, here, parameters)
+    for parameter, column in zip(parameters, columns, strict=True):
+        name, step = parameter.name, 0.2 * parameter.small
+        there = bench.changed([name], [bench.values.get(name, 0.0) + step])
+        moved = LinearModel(every.model(there, here.model.engine), bars, False)
+        change = (here.residual - moved.residual) / step
+        assert np.linalg.norm(change - column) < 0.1 * np.linalg.norm(column)
 
 
 def test_pixels_stay_where_they_are_and_new_ones_tell_nothing() -> None:
