@@ -127,7 +127,7 @@ class LensLengths:
             return PlausibleLength(least, most, (4.0 * wave, 2.0 * field), reason)
         if name == "source_distance":
             least, most = 0.5 * field, 1e4 * self.largest_mm
-            reason = f"must be {least:.3g} to {most:.3g} mm, for a field of {field:g} mm"
+            reason = f"must be {least:.3g} to {most:.3g} mm, for light that is {field:g} mm wide"
             return PlausibleLength(least, most, (field, 100.0 * self.largest_mm), reason)
         if name in ("planes", "plane_distance", "predict"):
             return self._plane()

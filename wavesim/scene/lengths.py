@@ -64,6 +64,9 @@ def validate_lengths(
         ):  # a patch wider than the field is rejected in validate_within_field, with a hint
             plausible = size.plausible_mm("patch")
             _validate(name, value, None if plausible is None else replace(plausible, highest=math.inf))
+        elif name == "source_distance_mm":  # its angle depends on the width of the light
+            lit_mm = min([size.field_mm, *_widths_mm(given)])
+            _validate(name, value, replace(size, field_mm=lit_mm).plausible_mm(quantity))
         elif unit in UNITS and name not in ABSOLUTE_UM:
             _validate(name, value, size.plausible_mm(quantity))
     _validate_perturbations(lens, size, given.get("perturb"))
@@ -75,6 +78,11 @@ def _given(settings: FrozenModel | Mapping[str, Any]) -> Iterator[tuple[str, Any
         fields = type(settings).model_fields
         settings = {name: getattr(settings, name) for name in fields if name in settings.model_fields_set}
     yield from ((name, value) for name, value in settings.items() if value is not None)
+
+
+def _widths_mm(given: Mapping[str, Any]) -> Iterator[float]:
+    """Yield the stated widths of the light: those of patch and field stop."""
+    yield from (given[name] for name in ("patch_mm", "field_stop_mm") if given.get(name, 0.0) > 0.0)
 
 
 def _validate(name: str, value: Any, plausible_mm: PlausibleLength | None, label: str = "") -> None:

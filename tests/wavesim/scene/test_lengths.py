@@ -118,3 +118,13 @@ def test_settings_are_refused_before_anything_is_computed(paper_lens: Lens) -> N
 def test_what_needs_no_lens_is_refused_where_it_is_stated(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         FrameSetSettings.model_validate({name: 5320.0})
+
+
+def test_a_point_source_may_be_as_near_as_the_light_is_wide(paper_lens: Lens) -> None:
+    near = {"source_distance_mm": 0.147}  # of light that is 0.06 mm wide, at 0.4 times the aperture
+    for widths in ({"patch_mm": 0.06}, {"patch_mm": 0.2, "field_stop_mm": 0.06}):
+        validate_lengths(paper_lens, near | widths)
+        with pytest.raises(SettingError, match=r"source_distance_mm = 0\.0147: .* 14\.7 mm"):
+            validate_lengths(paper_lens, widths | {"source_distance_mm": 0.0147})
+    with pytest.raises(SettingError, match="source_distance_mm"):
+        validate_lengths(paper_lens, near)
