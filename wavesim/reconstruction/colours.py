@@ -402,7 +402,7 @@ def _problem(lens: Lens, frames: Sequence[Frame], settings: ColourSettings) -> _
     first = imaging_engine(scene, settings, runs=2 * settings.iterations, light=Light(lights[0]))
     planes, recorded, responses = [], [], []
     for group in _groups(frames):
-        own, of_group = group[0].settings, recorded_planes(group)
+        own, of_group = group[0].settings, recorded_planes(group, with_colours=True)
         seen = own.wavelengths_um
         on_pixels = [np.array(1.0)] if own.colours is None else own.colours.on_pixels((rows, columns))
         near = min(frame.settings.plane_distance_mm for frame in group)

@@ -468,7 +468,25 @@ def planes_of_frames(frames: Sequence[Frame]) -> tuple[PlaneFrames, ...]:
     )
 
 
-def recorded_planes(frames: Sequence[Frame], *, with_fractions: bool = False) -> list[Measurement]:
+def validate_one_wavelength(frames: Sequence[Frame]) -> None:
+    """Check that no frame was recorded at several wavelengths at once, or behind colour filters.
+
+    Raises
+    ------
+    InputError
+        If a frame was; the message names its wavelengths.
+    """
+    for frame in frames:
+        if frame.settings.colours is not None:
+            several = ", ".join(f"{one:g}" for one in frame.settings.wavelengths_um)
+            raise InputError(
+                f"frames: {several} µm were recorded at once: must be one wavelength; use `wavesim colours`"
+            )
+
+
+def recorded_planes(
+    frames: Sequence[Frame], *, with_fractions: bool = False, with_colours: bool = False
+) -> list[Measurement]:
     """Return amplitude and standard deviation on each plane, in single precision, ordered by plane distance.
 
     Distances count from the nearest plane. :func:`wavesim.sensor.merged_exposures.merged_intensity` merges
@@ -480,7 +498,16 @@ def recorded_planes(frames: Sequence[Frame], *, with_fractions: bool = False) ->
         Frames of one or more planes.
     with_fractions
         Whether the planes get their `fraction_per_intensity`.
+    with_colours
+        Whether frames may have several wavelengths, because the caller models all of them.
+
+    Raises
+    ------
+    InputError
+        If frames have several wavelengths without `with_colours`.
     """
+    if not with_colours:
+        validate_one_wavelength(frames)
     by_plane = frames_by_plane(frames)
     first = by_plane[0][0].settings.plane_distance_mm
     return [

@@ -28,6 +28,8 @@ from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings
 from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
+from wavesim.sensor.colour_filters import ColourFilters
+from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import Frame
 
 TRUE = {
@@ -113,6 +115,26 @@ def test_frames_of_another_light_pitch_or_plane_are_refused(
     other = [replace(frame, settings=frame.settings.replaced(**change)) for frame in empty]
     with pytest.raises(InputError, match=message):
         calibrate_frames(lens, star, SETTINGS, empty=other)
+
+
+@pytest.mark.parametrize("filters", ["monochrome", "bayer"])
+def test_frames_of_several_wavelengths_are_refused(
+    lens: Lens, empty: tuple[Frame, ...], star: tuple[Frame, ...], filters: str
+) -> None:
+    colours = getattr(ColourFilters, filters)((0.532, 0.635, 0.45))
+    several = r"0\.532, 0\.635, 0\.45 .*m were recorded at once"
+    empty, coloured = (
+        tuple(replace(frame, settings=frame.settings.replaced(colours=colours)) for frame in frames)
+        for frames in (empty, star)
+    )
+    for attempt in (
+        lambda: calibrate_frames(lens, coloured, SETTINGS),
+        lambda: calibrate_frames(lens, star, SETTINGS, empty=empty),
+        lambda: calibrate_empty(lens, empty, SETTINGS),
+        lambda: recorded_planes(coloured),
+    ):
+        with pytest.raises(InputError, match=several):
+            attempt()
 
 
 def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from wavesim.calibration.free_space import (
     NotExplainedWarning,
     reconstruct_free_space,
 )
+from wavesim.sensor.colour_filters import ColourFilters
 from wavesim.sensor.frames import AssumedWarning, Frame, FrameSettings, read_frame
 
 PITCH_UM, WAVELENGTH_UM, PIXELS, WIDE = 0.4, 0.5, 96, 192
@@ -96,6 +97,14 @@ def test_a_real_series_predicts_a_plane_that_it_was_not_given(monkeypatch: pytes
 def test_frames_of_one_plane_are_refused() -> None:
     with pytest.raises(InputError, match="two planes or more"):
         reconstruct_free_space([frame(10.0)])
+
+
+def test_frames_of_several_wavelengths_are_refused() -> None:
+    colours = ColourFilters.monochrome((WAVELENGTH_UM, 0.6))
+    frames = [frame(z_um) for z_um in PLANES_UM[:2]]
+    coloured = [Frame(one.counts, one.settings.replaced(colours=colours)) for one in frames]
+    with pytest.raises(InputError, match=r"0\.5, 0\.6 µm were recorded at once"):
+        reconstruct_free_space(coloured)
 
 
 def test_frames_of_another_wavelength_are_told_not_to_be_explained() -> None:
