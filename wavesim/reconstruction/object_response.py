@@ -22,7 +22,9 @@ FOLLOWING_ITERATIONS = 12
 """Iterations of conjugate gradients by which the object follows a change."""
 
 
-def free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]:
+def free_samples(
+    linear: LinearModel, values: NDArray[Any], gradient: NDArray[Any] | None = None
+) -> NDArray[np.bool_]:
     """Return lit samples of the object that are not at a bound of an amplitude object, 0 or 1.
 
     Parameters
@@ -31,12 +33,14 @@ def free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]
         Linear model about the object.
     values
         Transmission of the object, real for an amplitude object.
+    gradient
+        Change of the object that reduces the residuals; default: from those of the linear model.
     """
     lit = linear.model.lit
     if np.iscomplexobj(values):
         return lit
-    gradient = linear.adjoint_to_object(linear.residual).real
-    is_at_bound = ((values <= 0.0) & (gradient < 0.0)) | ((values >= 1.0) & (gradient > 0.0))
+    change = (linear.adjoint_to_object(linear.residual) if gradient is None else gradient).real
+    is_at_bound = ((values <= 0.0) & (change < 0.0)) | ((values >= 1.0) & (change > 0.0))
     return np.asarray(lit & ~is_at_bound)
 
 

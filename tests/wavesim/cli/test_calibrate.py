@@ -168,7 +168,7 @@ def test_both_in_one_run(
     [
         (("--parameters", "decentre_x_mm"), "did you mean decenter_x_mm"),
         (("--parameters", ""), "--parameters = ''"),
-        (("--kind", "phase"), "--kind = 'phase'"),
+        (("--kind", "film"), "--kind = 'film'"),
         (("--max-mountings", 0), "max-mountings"),
         (("--truth", "nowhere.npz"), "nowhere.npz"),
         (("--patch-mm", 5), "patch_mm = 5"),

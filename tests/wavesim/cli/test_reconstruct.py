@@ -163,7 +163,7 @@ def test_bad_frames_are_one_message_status_two_and_nothing_written(
     ("options", "message"),
     [
         (("--method", "best"), "--method = 'best': allowed: paper, object"),
-        (("--kind", "phase"), "--kind = 'phase'"),
+        (("--kind", "film"), "--kind = 'film'"),
         (("--start", "model"), "--start = 'model': allowed for object: even, amplitude"),
         (("--iterations", 0), "--iterations = 0"),
         (("--tv-weight", "much"), "--tv-weight = 'much'"),

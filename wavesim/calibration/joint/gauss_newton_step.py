@@ -2,7 +2,8 @@
 
 The object compensates a large part of the effect of a change of the bench. The step of the bench therefore
 follows from the normal equations of both, which conjugate gradients solve. Samples of an amplitude object
-that are at a bound (0 or 1), and would move beyond it, stay fixed.
+that are at a bound (0 or 1), and would move beyond it, stay fixed. Samples of a phase object move along the
+unit circle.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.forward.linear_model import LinearModel, RealArray
+from wavesim.reconstruction.object_response import free_samples, possible_change
 from wavesim.runtime.threads import at_once
+from wavesim.scene.settings import Kind
 
 DAMPING = 0.03
 """Damping: fraction of the squared misfit that a step by the typical deviation of a parameter costs.
@@ -59,6 +62,8 @@ class GaussNewtonStep:
         Variance of a residual that scales the prior.
     transmission
         Transmission of the object; real for an amplitude object.
+    kind
+        Kind of the object, which limits the changes that its samples can have.
     object_is_free
         Whether the object is unknown, too; otherwise it stays fixed.
     compensations
@@ -77,19 +82,15 @@ class GaussNewtonStep:
         typical: Array,
         variance: float,
         transmission: NDArray[Any],
+        kind: Kind,
         object_is_free: bool = True,
         compensations: Mapping[int, NDArray[Any]] = MappingProxyType({}),
         residual: RealArray | None = None,
     ) -> None:
-        self.linear, self.is_real = linear, not np.iscomplexobj(transmission)
+        self.linear, self.kind, self.transmission = linear, kind, transmission
         residual = linear.without_scale(linear.residual if residual is None else residual)
         descent = self._object_part(linear.adjoint_to_object(residual))
-        self.free_samples = linear.model.lit & object_is_free
-        if self.is_real:
-            is_at_bound = ((transmission <= 0.0) & (descent < 0.0)) | (
-                (transmission >= 1.0) & (descent > 0.0)
-            )
-            self.free_samples = self.free_samples & ~is_at_bound
+        self.free_samples = free_samples(linear, transmission, descent) & object_is_free
         self.object_descent = descent * self.free_samples
         self.columns = columns.reshape(len(columns), -1)
         if compensations:
@@ -230,8 +231,8 @@ class GaussNewtonStep:
         return product, bench_product
 
     def _object_part(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the part of a change that the object can make: the real part for an amplitude object."""
-        return np.asarray(values.real) if self.is_real else values
+        """Return the part of a change that an object of this kind can make."""
+        return possible_change(self.kind, self.transmission, values)
 
 
 def _well_determined(precision: Array) -> Array:

@@ -158,7 +158,7 @@ class JointSearch:
     ----------
     pixels : CalibrationPixels
         Pixels of the frames, and their engines.
-    kind : {"amplitude", "complex"}
+    kind : {"amplitude", "complex", "phase"}
         Kind of the object.
     parameters : tuple of Parameter
         Parameters that are sought.
@@ -512,6 +512,7 @@ class JointSearch:
             typical,
             variance,
             fit.transmission,
+            self.kind,
             object_is_free,
             self._compensations(fit, parameters) if object_is_free else {},
             residual,

@@ -42,7 +42,7 @@ class Dense:
 def step_of(columns: NDArray[Any], linear: Dense, lit: bool = True, **given: Any) -> GaussNewtonStep:
     linear.model.lit[:] = lit
     inside = np.full(OBJECT, 0.5)  # an amplitude that no bound holds
-    return GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside, **given)  # type: ignore[arg-type]
+    return GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside, "amplitude", **given)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def deviation_error(seed: int) -> tuple[float, int]:
     columns += 0.05 * rng.standard_normal((PARAMETERS, PIXELS))
     exact = np.sqrt(np.diag(np.linalg.inv(eliminated(columns, linear))))
     inside = np.full(size, 0.5)
-    joint = GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside)  # type: ignore[arg-type]
+    joint = GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside, "amplitude")  # type: ignore[arg-type]
     linear.applications = 0
     found = np.sqrt(np.diag(np.linalg.inv(curvature(joint, 20))))
     return float(np.max(np.abs(found / exact - 1.0))), linear.applications
@@ -170,7 +170,42 @@ def test_equations_of_some_parameters_are_those_without_the_others(rng: np.rando
         TYPICAL[chosen],
         VARIANCE,
         inside,
+        "amplitude",
     )
     restricted = step_of(columns, linear).restricted(chosen)
     assert restricted.descent == pytest.approx(alone.descent)
     assert restricted.solve(20) == pytest.approx(alone.solve(20), rel=1e-6)
+
+
+class ComplexDense(Dense):
+    """A linear model that is a matrix between complex samples and real amplitudes."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        super().__init__(rng)
+        self.matrix = self.matrix + 1j * rng.standard_normal((PIXELS, OBJECT)) / np.sqrt(PIXELS)
+
+    def jacobian_times_object(self, change: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray((self.matrix @ change).real)
+
+    def adjoint_to_object(self, left: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(self.matrix.conj().T @ left)
+
+
+def test_a_phase_object_follows_with_its_phase_alone(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps and remaining effects of the bench are those of dense equations for the phases of the samples."""
+    monkeypatch.setattr("wavesim.calibration.joint.gauss_newton_step.TOLERANCE", 0.0)
+    linear, columns = ComplexDense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    values = np.exp(1j * rng.uniform(-3.0, 3.0, OBJECT))
+    joint = GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, values, "phase")  # type: ignore[arg-type]
+    by_phase = (linear.matrix * (1j * values)).real
+    both = np.hstack([by_phase, columns.T])
+    normal, prior = both.T @ both, np.diag(joint.prior_precision)
+    normal[OBJECT:, OBJECT:] += prior + np.diag(joint.damping)
+    descent = both.T @ linear.residual
+    descent[OBJECT:] -= joint.prior_precision * VALUES
+    assert joint.solve(60) == pytest.approx(np.linalg.solve(normal, descent)[OBJECT:], rel=1e-4)
+    basis = np.linalg.qr(by_phase)[0]
+    expected = columns - columns @ basis @ basis.T
+    assert joint.reduced_columns(20) == pytest.approx(expected, abs=1e-4)
