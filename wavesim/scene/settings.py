@@ -217,7 +217,8 @@ class PatchSettings(Settings):
     def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
         kinds = {"light_tilt_deg": "tilted", "waist_mm": "gaussian", "source_distance_mm": "point"}
         kind = kinds.get(str(info.field_name), "speckle")
-        if value not in (None, 0, (0.0, 0.0)) and info.data.get("illumination") != kind:
+        unused = cls.model_fields[str(info.field_name)].default
+        if value != unused and info.data.get("illumination") != kind:
             raise SettingError(f"{{{info.field_name}}}: requires {{illumination}} {kind}")
         return value
 
