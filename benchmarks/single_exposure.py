@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from math import asin, tan
 from pathlib import Path
 from typing import Any
@@ -142,9 +143,9 @@ def tilted(tilt_deg: float) -> Callable[[Patch], Field]:
     return lambda patch: plane_wave(patch.grid, patch.wavelength_um, tilt_x_deg=tilt_deg)
 
 
-def grains(aperture: float) -> Callable[[Patch], Field]:
+def grains(aperture: float, seed: int = 3) -> Callable[[Patch], Field]:
     """Return speckle of a numerical aperture."""
-    return lambda patch: speckle(patch.grid, patch.wavelength_um, aperture, seed=3)
+    return lambda patch: speckle(patch.grid, patch.wavelength_um, aperture, seed)
 
 
 def phase_screen(rms_rad: float, samples: float) -> Callable[[Patch], Field]:
@@ -428,6 +429,10 @@ def light_found(method: Method, twin: int = 48, planes: int = 4) -> tuple[Field,
     )
 
 
+LIGHT_SEEDS = (3, 4)
+"""Seeds of the speckle that is found from frames."""
+
+
 def print_light() -> None:
     """Print single exposures that are reconstructed with speckle found from four planes without an object."""
     print(
@@ -435,8 +440,8 @@ def print_light() -> None:
         f"of {BITS} bits\n\n| light | correlation of the light | {' | '.join(OBJECTS)} |\n"
         f"| --- | --- | {' | '.join('---' for _ in OBJECTS)} |"
     )
-    for aperture in (0.2, 0.3):
-        method = Method(f"speckle of NA {aperture:g}", grains(aperture))
+    for aperture, seed in product((0.2, 0.3), LIGHT_SEEDS):
+        method = Method(f"speckle of NA {aperture:g}, seed {seed}", grains(aperture, seed))
         light, correlation = light_found(method)
         cells = []
         for name, kind in OBJECTS.items():
