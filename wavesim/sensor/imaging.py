@@ -28,6 +28,7 @@ from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene, placed_light
 from wavesim.scene.settings import ImageSettings, SettingError
+from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.colour_filters import colour_filters
@@ -211,6 +212,8 @@ def image(
     validate_lengths(lens, settings)
     recording = _recording(lens, settings, state)
     true_state, planes = recording.state, recording.plane_distances_mm
+    if settings.layers_um is not None:
+        _check_source_of_layers(true_state.source)
     objects = _objects(object_, settings)
     patch, light = _patch_and_light(lens, objects[0], settings)
     wavelengths = settings.wavelengths_um or (patch.wavelength_um,) * len(objects)
@@ -300,6 +303,19 @@ def _objects(object_: str | Field | Sequence[str | Field], settings: ImageSettin
             "distance in {layers_um}"
         )
     return objects * count if len(objects) == 1 else objects
+
+
+def _check_source_of_layers(source: Source) -> None:
+    """Check that the light on layers has one direction and wavelength.
+
+    The modes of a source multiply the field behind the object. Light of another direction, however, arrives
+    at another part of each further layer.
+    """
+    if source.width_deg or source.bandwidth_nm:
+        raise SettingError(
+            "{source_deg}, {bandwidth_nm}: must be 0 with {layers_um}, also in a given state; the source has "
+            f"a width of {source.width_deg:g}° and a bandwidth of {source.bandwidth_nm:g} nm"
+        )
 
 
 def _behind_object(

@@ -11,6 +11,7 @@ from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from wavesim.engines.with_ghost import WithGhost
+from wavesim.fields.field import Field
 from wavesim.metrics.ghosts import GhostPlane, ghost_in_residuals
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import Source
@@ -206,3 +207,37 @@ def test_a_ghost_is_found_in_what_frames_with_one_record(nominal: Imaged) -> Non
 def test_a_ghost_that_an_engine_cannot_carry() -> None:
     with pytest.raises(InputError, match="ghost: engine hierarchical"):
         seen(ghost=0.01, engine="hierarchical")
+
+
+def test_a_single_layer_in_the_object_plane_is_the_object(nominal: Imaged) -> None:
+    layered = seen(layers_um=(0.0,))
+    assert [layer.name for layer in layered.layers] == ["star"]
+    for one, other in zip(pictures(layered), pictures(nominal), strict=True):
+        assert np.linalg.norm(one - other) < 1e-3 * np.linalg.norm(other)
+
+
+def test_tilted_light_shifts_the_shadow_of_a_first_layer_by_distance_times_slope(nominal: Imaged) -> None:
+    grid, tilt_deg, distance_um = nominal.patch.grid, 5.0, 20.0
+    spot = np.exp(-grid.radius_squared_mm2() / 0.004**2)
+    first = Field(grid, spot.astype(complex), nominal.patch.wavelength_um)
+    second = first.with_values(np.ones_like(first.values))
+    changes = SETTINGS | {"patch_mm": None, "layers_um": (-distance_um, 0.0)}
+    taken = image(LENS, (first, second), state=SystemState(light=LightErrors((tilt_deg, 0.0))), **changes)
+    light = np.abs(taken.target.transmission.values) ** 2
+    centre_um = 1e3 * float(np.sum(light * grid.x_mm) / np.sum(light))
+    assert centre_um == pytest.approx(distance_um * np.tan(np.radians(tilt_deg)), rel=0.02)
+
+
+def test_layers_need_light_of_one_direction_and_wavelength() -> None:
+    for changes in (
+        {"source_deg": 2.0},
+        {"bandwidth_nm": 5.0},
+        {"state": SystemState(source=Source(width_deg=2.0))},
+    ):
+        with pytest.raises(InputError, match="source_deg, bandwidth_nm: must be 0 with layers_um"):
+            seen(**changes, layers_um=(-20.0, 0.0))
+
+
+def test_objects_must_be_as_many_as_layers() -> None:
+    with pytest.raises(InputError, match="2 objects for 3 layers"):
+        image(LENS, ("star", "empty"), **SETTINGS, layers_um=(-20.0, -10.0, 0.0))
