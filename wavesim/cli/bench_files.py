@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wavesim.scene.settings import FrameSetSettings, SettingError
+from wavesim.scene.settings import FrameSetSettings, ReconstructionSettings, SettingError, StopOrigin
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
@@ -27,6 +27,21 @@ def read_bench_state(path: Path | None, lens: Lens) -> SystemState | None:
     from wavesim.calibration.calibration_result import read_calibration
 
     return None if path is None else read_calibration(path, lens)
+
+
+def with_calibrated_stop(
+    calibration: Path | None, settings: ReconstructionSettings
+) -> tuple[StopOrigin | None, str, ReconstructionSettings]:
+    """Return origin, warning and settings of a calibration's field stop, unless the settings state one."""
+    if calibration is None or settings.field_stop_from != "patch":
+        return None, "", settings
+    from wavesim.calibration.calibration_result import field_stop_of
+
+    stop = field_stop_of(calibration)
+    if stop is None:
+        return None, "", settings
+    diameter_mm, centre_mm, warning = stop
+    return "calibration", warning, settings.with_stop(diameter_mm, centre_mm)
 
 
 def read_empty(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import typer
 from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
 from lensdesign.files.design import load_design
-from wavesim.cli.bench_files import read_bench_state
+from wavesim.cli.bench_files import read_bench_state, with_calibrated_stop
 from wavesim.cli.options import print_warnings
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import (
@@ -38,10 +39,13 @@ def in_layers(
     as_json: bool,
 ) -> None:
     """Reconstruct the layers, write and print them, and exit with 1 if the frames are not explained."""
+    from wavesim.metrics.goodness_of_fit import Finding, with_finding
+    from wavesim.metrics.next_steps import STOP_CAUSE
     from wavesim.reconstruction.layer_reconstruction import reconstruct_layers
     from wavesim.sensor.frame_sets import read_frames
 
     lens = load_design(design)
+    stop_from, stop_doubt, settings = with_calibrated_stop(calibration, settings)
     with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = reconstruct_layers(
@@ -56,12 +60,14 @@ def in_layers(
             progress=on_progress,
             on_estimate=None if as_json else memory_teller(output),
         )
+    if stop_doubt:
+        found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
     summary = {
         "design": lens.title or design.stem,
         **found.as_dict(),
-        "field_stop_from": settings.field_stop_from,
+        "field_stop_from": stop_from or settings.field_stop_from,
         "warnings": messages,
         "engine": engine_summary(found.engine, found.predicted_error),
         "memory": found.memory.as_dict(),

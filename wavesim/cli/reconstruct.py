@@ -18,7 +18,7 @@ from lensdesign.common.options import Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.bench_files import read_bench_state, read_empty, read_priors
+from wavesim.cli.bench_files import read_bench_state, read_empty, read_priors, with_calibrated_stop
 from wavesim.cli.free_space import in_free_space
 from wavesim.cli.layers import in_layers
 from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings
@@ -32,7 +32,6 @@ from wavesim.scene.settings import (
     LayerReconstructionSettings,
     PoseSettings,
     ReconstructionSettings,
-    StopOrigin,
 )
 from wavesim.scene.system_state import SystemState
 
@@ -153,7 +152,7 @@ def reconstruct(
         warnings.simplefilter("always")
         lens = load_design(design)
         state = read_bench_state(calibration, lens)
-        stop_from, stop_doubt, settings = _stop_of(calibration, settings)
+        stop_from, stop_doubt, settings = with_calibrated_stop(calibration, settings)
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / subfolder
@@ -200,21 +199,6 @@ def reconstruct(
     else:
         _print(summary, output)
     raise typer.Exit(0 if found.verdict.explained else 1)
-
-
-def _stop_of(
-    calibration: Path | None, settings: ReconstructionSettings
-) -> tuple[StopOrigin | None, str, ReconstructionSettings]:
-    """Return origin, warning and settings of a calibration's field stop, unless the settings state one."""
-    if calibration is None or settings.field_stop_from != "patch":
-        return None, "", settings
-    from wavesim.calibration.calibration_result import field_stop_of
-
-    stop = field_stop_of(calibration)
-    if stop is None:
-        return None, "", settings
-    diameter_mm, centre_mm, warning = stop
-    return "calibration", warning, settings.with_stop(diameter_mm, centre_mm)
 
 
 def _calibrated(

@@ -68,6 +68,26 @@ def test_one_plane_is_refused(wavesim: Command, frames: Path) -> None:
     assert not (frames.parent / "found").exists()
 
 
+def test_the_field_stop_of_a_calibration_limits_the_layers(wavesim: Command, frames: Path) -> None:
+    stop = {"field_stop_mm": 0.016, "field_stop_at_mm": [0.0, 0.0], "field_stop_from": "frames"}
+    calibration = frames.parent / "calibration.json"
+    calibration.write_text(json.dumps({"mounting": {}, **stop, "field_stop_doubt": "it could lie elsewhere"}))
+    inputs = ("reconstruct", *sorted(frames.glob("frame_*.tif")), "--design", frames.parent / "twin.toml")
+    options = ("--layers-um", "-20,0", "--kind", "amplitude", "--iterations", 2, "--json")
+    patch = ("--patch-mm", 0.03, "--engine", "eikonal", "--error", 0.02)
+    found = []
+    for name, stops in (("calibrated", ("--calibration", calibration)), ("stated", PATCH[2:4])):
+        code, out, err = wavesim(*inputs, *options, *patch, *stops, "-o", frames.parent / name)
+        assert code in ENDED, err
+        found.append(json.loads(out))
+    calibrated, stated = found
+    assert (calibrated["field_stop_mm"], calibrated["field_stop_from"]) == (0.016, "calibration")
+    assert stated["field_stop_from"] == "stated"
+    assert calibrated["oversampling_ratio"] == stated["oversampling_ratio"]
+    assert "it could lie elsewhere" in json.dumps(calibrated["verdict"])
+    assert "it could lie elsewhere" not in json.dumps(stated["verdict"])
+
+
 def test_options_that_do_not_fit_are_refused(wavesim: Command, frames: Path) -> None:
     design = frames.parent / "twin.toml"
     for option, message in (("--calibrate", "--calibrate"), ("--method=paper", "--method")):
