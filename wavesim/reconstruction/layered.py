@@ -130,8 +130,9 @@ def find_layers(
     fill_factor
         Linear fill factor of a pixel.
     scale
-        Measured amplitude per unit of the modelled amplitude. Default: fitted to an even object; the
-        transmissions are then known up to a factor.
+        Measured amplitude per unit of the modelled amplitude, which determines the product of the layers;
+        their brightest parts are then equal. Default: fitted to an even object, and the brightest part of
+        each layer is 1.
     progress
         Callback `progress(index, misfit)`, called after every iteration.
 
@@ -192,7 +193,10 @@ def find_layers(
     search = _Search(objective, tv_weight, noise_misfit(recorded), iterations, fits_scale, progress)
     values, misfits, reason = search.run()
     transmissions, factor = parameters.normalized(objective.transmissions(values), stack.lit)
-    model.scale *= factor
+    if scale is None:
+        model.scale *= factor
+    else:  # The light on the planes determines the product of all layers.
+        transmissions = [factor ** (1.0 / len(transmissions)) * one for one in transmissions]
     maps = tuple(model.amplitudes(stack.forward(transmissions).behind))
     for modelled, plane in zip(maps, recorded, strict=True):
         modelled -= plane.amplitude
@@ -324,10 +328,14 @@ def _brightest_is_1(
     """Return layers whose brightest amplitude is 1, with a mean phase of 0."""
     factor, scaled = 1.0, []
     for layer in layers:
-        # A few samples at edges may exceed the brightest parts.
-        brightest = float(np.quantile(np.abs(layer[inside]), 0.99))
-        factor *= brightest
-        scaled.append(layer / brightest if brightest > 0.0 else layer)
+        amplitudes = np.sort(np.abs(layer[inside]))
+        energy = np.cumsum(amplitudes**2)
+        if energy[-1] > 0.0:
+            # A few samples at edges may exceed the brightest parts. They are limited by their energy, because
+            # the bright part itself may cover a small area, as a pinhole does.
+            brightest = float(amplitudes[np.searchsorted(energy, 0.99 * energy[-1])])
+            factor, layer = factor * brightest, layer / brightest
+        scaled.append(layer)
     return _without_mean_phase(scaled, inside)[0], factor
 
 

@@ -12,7 +12,7 @@ from lensdesign.analysis.oversampling import ObjectKind
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.reconstruction.layered import LayersObjective, find_layers
+from wavesim.reconstruction.layered import _PARAMETERS, LayersObjective, find_layers
 from wavesim.scene.engine import Engine
 from wavesim.scene.patches import patch_scene
 from wavesim.sensor.measurement import Measurement
@@ -79,3 +79,33 @@ def test_two_layers_are_found_each_on_its_own_plane(kind: ObjectKind) -> None:
         correlation = abs(np.vdot(values, expected)) / np.linalg.norm(values) / np.linalg.norm(expected)
         assert correlation > 0.95
     assert found.misfit[-1] < 0.1 * found.misfit[0]
+
+
+def test_a_stated_scale_is_kept_and_determines_the_product_of_the_layers() -> None:
+    stack = two_layers()
+    disc = np.hypot(stack.grid.x_mm - 0.002, stack.grid.y_mm[:, None]) < 0.0015
+    truth = [np.where(disc, 0.3, 0.8), np.where(disc[:, ::-1], 0.3, 0.9)]
+    engine, recorded = small_engine(), recorded_of(stack, truth)
+    found = find_layers(engine, stack, recorded, iterations=60, scale=1.0)
+    assert found.scale == pytest.approx(1.0)
+    expected = np.linalg.norm((truth[0] * truth[1])[stack.lit])
+    product = np.abs(found.transmissions[0].values * found.transmissions[1].values)
+    assert np.linalg.norm(product[stack.lit]) == pytest.approx(expected, rel=0.02)
+    modelled = engine.forward(
+        stack.light.with_values(stack.forward([one.values for one in found.transmissions]).behind)
+    )
+    error = np.abs(modelled.values) - recorded[0].amplitude
+    assert error == pytest.approx(found.residual_maps[0], abs=1e-3 * recorded[0].amplitude.max())
+
+
+def test_the_brightest_part_of_a_layer_is_1_also_in_a_pinhole() -> None:
+    stack = two_layers((0.0,))
+    radius = np.hypot(stack.grid.x_mm, stack.grid.y_mm[:, None])
+    pinhole = np.where(radius < 0.0005, 1.0, 0.0)
+    assert 0.0 < pinhole.sum() / np.count_nonzero(stack.lit) < 0.01
+    layers, factor = _PARAMETERS["amplitude"].normalized([0.5 * pinhole, 0.8 * stack.lit], stack.lit)
+    assert factor == pytest.approx(0.4)
+    for layer in layers:
+        assert np.abs(layer).max() == pytest.approx(1.0)
+    _, factor = _PARAMETERS["amplitude"].normalized([0.0 * pinhole, 0.8 * stack.lit], stack.lit)
+    assert factor == pytest.approx(0.8)
