@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.layers import Case, bench, field_behind, independent_frames, outcome, true_layer
 from lensdesign.errors import InputError
+from lensdesign.lens.poses import Pose
 from wavesim.reconstruction.layer_reconstruction import (
     LEAST_RATIO,
     layers_oversampling,
@@ -20,6 +21,7 @@ from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
+from wavesim.sensor.imaging import image
 
 CASE = Case("amplitude", "sparse", (-20.0, 0.0), 2, stop_mm=0.016)
 
@@ -118,3 +120,33 @@ def test_light_that_is_not_coherent_is_refused() -> None:
         reconstruct_layers(lens, frames_of_one_plane(), CASE.layers_um, coherent, calibration=broad)
     with pytest.raises(SettingError, match="source_deg: cannot be used with layers_um"):
         reconstruct_layers(lens, frames_of_one_plane(), CASE.layers_um, settings(source_deg=0.4))
+
+
+def test_layers_use_the_calibration_and_a_stated_scale() -> None:
+    lens, _ = bench(CASE.stop_mm)
+    state = SystemState(Pose(decenter_x_mm=0.003))
+    few = settings(field_stop_mm=0.024, iterations=6)
+    patch = few.model_dump(include={"patch_mm", "field_stop_mm", "engine", "error"})
+    taken = image(
+        lens,
+        ("star", "empty"),
+        layers_um=CASE.layers_um,
+        state=state,
+        exposures=(1.0, 30.0, 1000.0),
+        **patch,
+    )
+    designed, calibrated = (
+        reconstruct_layers(lens, taken.frames, CASE.layers_um, few, calibration=calibration)
+        for calibration in (None, state)
+    )
+    assert calibrated.curve[-1] < 0.2 * designed.curve[-1]
+    scale = 1.1 * calibrated.scale
+    scaled = reconstruct_layers(
+        lens, taken.frames, CASE.layers_um, few.replaced(scale=scale), calibration=state
+    )
+    assert scaled.scale == pytest.approx(scale)
+    products = [
+        float(np.linalg.norm(np.prod([layer.values for layer in found.transmissions], axis=0)))
+        for found in (scaled, calibrated)
+    ]
+    assert products[0] * 1.1 == pytest.approx(products[1], rel=0.03)
