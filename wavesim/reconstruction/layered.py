@@ -13,6 +13,9 @@ thousands of iterations to do so.
 The weight of the total variation follows the misfit, as in :mod:`wavesim.reconstruction.object_solver`. It is
 updated every few iterations. A search that starts from an even object then finds coarse structure first.
 
+With more than two planes, the search begins with the nearest and the farthest one, which it fits in fewer
+iterations than all of them, and continues with all planes from the layers that it has found.
+
 The factors of single layers are not determined, only their product. Layers are normalized: the brightest
 amplitude is 1, or the mean phase is 0.
 
@@ -55,6 +58,9 @@ the fraction `FAST_FALL` in a round, and afterwards.
 
 FAST_FALL = 0.15
 
+FIRST_FRACTION = 2.0 / 3.0
+"""Largest fraction of the iterations for the nearest and the farthest plane alone, where there are more."""
+
 TV_PER_NOISE = 0.15
 """Weight of the total variation over the standard deviation of the noise of a step.
 
@@ -81,7 +87,8 @@ class Layers:
     transmissions : tuple of Field
         Transmission of each layer, in the order in which light passes them; 0 outside the field stop.
     misfit : tuple of float
-        Relative L2 difference between modelled and measured amplitudes after each iteration.
+        Relative L2 difference between modelled and measured amplitudes after each iteration, on the planes
+        that the iteration used.
     residual_maps : tuple of ndarray
         For each plane, modelled less measured amplitude, in the unit of the measured amplitude.
     scale : float
@@ -126,7 +133,7 @@ def find_layers(
         Weight of the total variation of each layer; "auto": `TV_PER_NOISE` times the noise of a step, times
         the ratio of the misfit to that of noise alone.
     iterations
-        Largest number of iterations.
+        Largest number of iterations, with those on two of more than two planes.
     fill_factor
         Linear fill factor of a pixel.
     scale
@@ -184,14 +191,20 @@ def find_layers(
     )
     unit = amplitude_unit(recorded)
     recorded = in_unit(recorded, unit)
-    model = ForwardModel(engine, even, recorded, scale and scale / unit, fill_factor)
-    objective = LayersObjective(model, stack, kind)
-    if scale is None:
-        objective.fit_scale(objective.start())
-    # Layers of modulus 1 cannot take up an error of the scale, which the even object leaves.
-    fits_scale = scale is None and kind == "phase"
-    search = _Search(objective, tv_weight, noise_misfit(recorded), iterations, fits_scale, progress)
-    values, misfits, reason = search.run()
+    near, far = (select(recorded, key=lambda plane: plane.distance_mm) for select in (min, max))
+    first = [([near, far], int(FIRST_FRACTION * iterations))] if len(recorded) > 2 else []
+    values, misfits = None, list[float]()
+    for planes, last in (*first, (recorded, iterations)):
+        model = ForwardModel(engine, even, planes, scale and scale / unit, fill_factor)
+        objective = LayersObjective(model, stack, kind)
+        values = objective.start() if values is None else values
+        if scale is None:
+            objective.fit_scale(values)
+        # Layers of modulus 1 cannot take up an error of the scale, which the even object leaves.
+        fits_scale = scale is None and kind == "phase"
+        search = _Search(objective, tv_weight, noise_misfit(planes), last, fits_scale, progress)
+        values, reason = search.run(values, misfits)
+    assert values is not None
     transmissions, factor = parameters.normalized(objective.transmissions(values), stack.lit)
     if scale is None:
         model.scale *= factor
@@ -209,7 +222,7 @@ def find_layers(
         )
         for distance, one in zip(stack.distances_um, transmissions, strict=True)
     )
-    return Layers(fields, misfits, maps, model.scale * unit, reason)
+    return Layers(fields, tuple(misfits), maps, model.scale * unit, reason)
 
 
 class LayersObjective:
@@ -391,11 +404,10 @@ class _Search:
     fits_scale: bool
     progress: Callable[[int, float], None] | None
 
-    def run(self) -> tuple[RealArray, tuple[float, ...], Stop]:
-        """Return the unknowns, the misfit of every iteration, and the reason to stop."""
-        objective, misfits = self.objective, list[float]()
+    def run(self, unknowns: RealArray, misfits: list[float]) -> tuple[RealArray, Stop]:
+        """Return the unknowns and the reason to stop, and append the misfit of every iteration."""
+        objective, begun = self.objective, len(misfits)
         noise = objective.model.noise_of_step() if self.tv_weight == "auto" else 0.0
-        unknowns = objective.start()
         objective(unknowns)
         lowest = -np.inf if objective.parameters.lowest is None else objective.parameters.lowest
         length = SHORT_ROUND
@@ -407,7 +419,7 @@ class _Search:
 
         while len(misfits) < self.iterations:
             before, done = objective.misfit, len(misfits)
-            if done and self.fits_scale:
+            if done > begun and self.fits_scale:
                 objective.fit_scale(unknowns)
             objective.tv_weight = self._weight(noise)
             unknowns = scipy.optimize.minimize(  # type: ignore[call-overload]
@@ -428,10 +440,12 @@ class _Search:
             fall = 1.0 - objective.misfit / before
             if len(misfits) == done or (length == LONG_ROUND and abs(fall) < TOLERANCE):
                 at_noise = objective.misfit <= AT_NOISE * (self.misfit_of_noise or 0.0)
-                return unknowns, tuple(misfits) or (before,), "noise" if at_noise else "converged"
+                if not misfits:
+                    misfits.append(before)
+                return unknowns, "noise" if at_noise else "converged"
             if fall < FAST_FALL:
                 length = LONG_ROUND
-        return unknowns, tuple(misfits), "iterations"
+        return unknowns, "iterations"
 
     def _weight(self, noise: float) -> float:
         """Return the weight of the total variation at the present misfit."""

@@ -33,12 +33,14 @@ def two_layers(distances_um: tuple[float, ...] = (-20.0, 0.0)) -> LayerStack:
     return LayerStack(grid, light, distances_um, inside.astype(float))
 
 
-def recorded_of(stack: LayerStack, layers: list[np.ndarray]) -> list[Measurement]:
-    """The amplitudes on the exit grid and 0.1 mm behind it, known to 1e-3 of the largest."""
+def recorded_of(
+    stack: LayerStack, layers: list[np.ndarray], distances_mm: tuple[float, ...] = (0.0, 0.1)
+) -> list[Measurement]:
+    """The amplitudes at distances behind the exit grid, known to 1e-3 of the largest."""
     engine = small_engine()
     field = engine.forward(stack.light.with_values(stack.forward(layers).behind))
     planes = []
-    for distance_mm in (0.0, 0.1):
+    for distance_mm in distances_mm:
         frequencies = np.fft.fftfreq(field.grid.shape[0], field.grid.pitch_mm)
         squared = (1e3 / stack.light.wavelength_um) ** 2 - frequencies[:, None] ** 2 - frequencies**2
         phase = np.exp(2j * np.pi * distance_mm * np.sqrt(np.maximum(squared, 0.0)))
@@ -109,3 +111,19 @@ def test_the_brightest_part_of_a_layer_is_1_also_in_a_pinhole() -> None:
         assert np.abs(layer).max() == pytest.approx(1.0)
     _, factor = _PARAMETERS["amplitude"].normalized([0.0 * pinhole, 0.8 * stack.lit], stack.lit)
     assert factor == pytest.approx(0.8)
+
+
+def test_a_search_on_many_planes_begins_with_the_nearest_and_the_farthest() -> None:
+    stack, seen = two_layers(), list[tuple[int, float]]()
+    disc = np.hypot(stack.grid.x_mm - 0.002, stack.grid.y_mm[:, None]) < 0.0015
+    truth = [np.where(disc, 0.3, 1.0), np.where(disc[:, ::-1], 0.3, 1.0)]
+    recorded = recorded_of(stack, truth, (0.05, 0.0, 0.1))
+    found = find_layers(
+        small_engine(), stack, recorded, iterations=30, progress=lambda *values: seen.append(values)
+    )
+    assert seen == list(enumerate(found.misfit))
+    assert len(seen) == 30
+    of_two = find_layers(small_engine(), stack, recorded[1:], iterations=20)
+    assert found.misfit[:20] == pytest.approx(of_two.misfit, rel=1e-6)
+    assert len(found.residual_maps) == 3
+    assert found.misfit[-1] < of_two.misfit[-1]
