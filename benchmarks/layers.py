@@ -45,7 +45,7 @@ PADDED = 512
 SUBSAMPLES = 4
 """Samples per pixel along each side, half of them from the engine."""
 
-BANDS_PER_UM = ((0.0, 0.03), (0.03, 0.06), (0.06, 0.12), (0.12, 0.25), (0.25, 0.5), (0.5, 0.94))
+BANDS_PER_UM = ((0.03, 0.06), (0.06, 0.12), (0.12, 0.25), (0.25, 0.5), (0.5, 0.94))
 """Bands of spatial frequency in which layers are compared."""
 
 
@@ -76,7 +76,7 @@ RATIO_CASES = tuple(
     )
     for planes in plane_counts
 ) + tuple(Case("amplitude", "dense", TWO_UM, 2, used_pixels=used) for used in (0.5, 0.4))
-DISTANCE_CASES = tuple(Case("amplitude", "sparse", (-um, 0.0), 2) for um in (4.0, 8.0, 16.0, 32.0))
+DISTANCE_CASES = tuple(Case("amplitude", "sparse", (-um, 0.0), 2) for um in (4.0, 8.0, 16.0, 20.0, 32.0))
 
 
 @cache
