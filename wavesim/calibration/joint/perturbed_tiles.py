@@ -139,6 +139,10 @@ class PerturbedTiles(FlatTiles):
             )
         self.reference, self.sensor_pose, self.plane = reference, sensor_pose, reference.plane
 
+    @property
+    def tiles(self) -> tuple[Tile, ...]:
+        return self.reference.tiles
+
     def at_wavelength(self, wavelength_um: float) -> Engine:
         """Return the same perturbation of the reference's tiles for another wavelength.
 

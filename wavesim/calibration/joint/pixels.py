@@ -55,6 +55,14 @@ from wavesim.sensor.measurement import Measurement, placed_planes
 from wavesim.sensor.pixels.points import points_among, recorded_points
 from wavesim.targets.patch import Patch
 
+TileParts = Sequence[tuple[slice, ...]]
+
+
+def _tile_parts(engine: Operator) -> list[TileParts]:
+    """Return the samples of the object in each tile, for each plane that tiles reach."""
+    engines = engine.planes if isinstance(engine, TilesToPlanes) else [engine]
+    return [[tile.part for tile in one.tiles] for one in engines if isinstance(one, FlatTiles)]
+
 
 @dataclass(frozen=True, eq=False)
 class RayDerivatives:
@@ -66,15 +74,27 @@ class RayDerivatives:
         Names of the parameters.
     planes : sequence of PathDerivatives
         Path derivatives of the tiles to the exit grid, or to each plane.
+    parts : sequence
+        For each of `planes`, the samples of the object in each tile.
     """
 
     names: tuple[str, ...]
     planes: Sequence[PathDerivatives]
+    parts: Sequence[TileParts]
 
     @classmethod
-    def of(cls, parameters: Sequence[Parameter], planes: Sequence[PathDerivatives]) -> RayDerivatives:
-        """Return the derivatives for parameters, in their order."""
-        return cls(tuple(p.name for p in parameters), planes)
+    def of(
+        cls, parameters: Sequence[Parameter], planes: Sequence[PathDerivatives], engine: Operator
+    ) -> RayDerivatives:
+        """Return the derivatives of an engine's tiles for parameters, in their order."""
+        return cls(tuple(p.name for p in parameters), planes, _tile_parts(engine))
+
+    def apply_to(self, engine: Operator) -> bool:
+        """Return whether an engine has the tiles of these derivatives.
+
+        The engine of a similar bench may divide the object into other tiles.
+        """
+        return self.parts == _tile_parts(engine)
 
     def plane(self, plane_index: int, parameters: Sequence[Parameter]) -> PathDerivatives:
         """Return the path derivatives to a plane for some of the parameters."""
@@ -136,10 +156,12 @@ class CalibrationPixels(ABC):
         parameters
             Parameters of the columns.
         derivatives
-            Ray derivatives of a similar bench, from :meth:`ray_derivatives`; default: computed.
+            Ray derivatives of a similar bench, from :meth:`ray_derivatives`. They are computed again if
+            omitted, or if this bench has other tiles.
         """
         carried = [p for p in parameters if self._acts_on_rays(p)]
-        derivatives = derivatives or self.ray_derivatives(unknowns, linear.model.engine, carried)
+        if derivatives is None or not derivatives.apply_to(linear.model.engine):
+            derivatives = self.ray_derivatives(unknowns, linear.model.engine, carried)
         ray_columns = iter(self._ray_columns(unknowns, linear, carried, derivatives) if carried else ())
         mode_fields: dict[Orders, ComplexArray] = {}
         result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
@@ -223,7 +245,7 @@ class DensePixels(CalibrationPixels):
         derivatives = path_derivatives(
             engine, self.illumination.values.dtype, self._perturbed_scenes(unknowns, carried)
         )
-        return RayDerivatives.of(carried, [derivatives])
+        return RayDerivatives.of(carried, [derivatives], engine)
 
     def _ray_columns(
         self,
@@ -233,7 +255,7 @@ class DensePixels(CalibrationPixels):
         derivatives: RayDerivatives | None,
     ) -> Iterable[RealArray]:
         def changes(engine: Operator, lit: Field) -> list[ComplexArray]:
-            if derivatives is None or not isinstance(engine, FlatTiles):
+            if derivatives is None or not (isinstance(engine, FlatTiles) and derivatives.apply_to(engine)):
                 perturbed = [
                     scene._replace(scene=replace(scene.scene, wavelength_um=lit.wavelength_um))
                     for scene in self._perturbed_scenes(unknowns, parameters)
@@ -363,7 +385,7 @@ class SparsePixels(CalibrationPixels):
                 for p, state in zip(carried, states, strict=True)
             ]
             planes.append(path_derivatives(plane, dtype, changed))
-        return RayDerivatives.of(carried, planes)
+        return RayDerivatives.of(carried, planes, engine)
 
     def _ray_columns(
         self,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_twins import PIXEL_MM, WAVELENGTH_UM, lit_within, twin_scene
+from small_twins import PIXEL_MM, WAVELENGTH_UM, bars_under_stop, lit_within, twin_scene
 
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.joint.pixels import DensePixels, SparsePixels, TilesToPlanes, padded_to_fast_shape
@@ -17,6 +17,7 @@ from wavesim.calibration.parameters import (
     field_stop_parameters,
 )
 from wavesim.engines.choosing import engine_for
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.linear_model import LinearModel
 from wavesim.scene.engine import Engine
@@ -129,6 +130,32 @@ def test_columns_of_several_modes_are_the_slopes_of_the_residuals(seen: tuple, s
         moved = LinearModel(every.model(there, here.model.engine), bars, False)
         change = (here.residual - moved.residual) / step
         assert np.linalg.norm(change - column) < 0.1 * np.linalg.norm(column)
+
+
+def test_derivatives_of_other_tiles_are_computed_again() -> None:
+    """A similar bench may divide the object into other tiles."""
+    scene, light, bars, _ = bars_under_stop()
+    blank = [Measurement(0.0, np.ones(scene.exit_grid.shape, np.float32))]
+    whole, divided = (
+        DensePixels(
+            scene, light, blank, 1.0, 0.0, lambda one, w=width: FlatTiles(one, error=0.1, tile_width_mm=w)
+        )
+        for width in (0.06, 0.03)
+    )
+    bench = Unknowns(scene.lens)
+    parameters = chosen_parameters("decenter_x_mm", bench_parameters(scene.lens, 1, 0.06, WAVELENGTH_UM))
+    here, other = (LinearModel(pixels.model(bench), bars, False) for pixels in (divided, whole))
+    given = [
+        pixels.ray_derivatives(bench, linear.model.engine, parameters)
+        for pixels, linear in ((divided, here), (whole, other))
+    ]
+    assert given[0] is not None
+    assert given[1] is not None
+    assert given[0].apply_to(here.model.engine)
+    assert len(given[0].planes[0]) != len(given[1].planes[0])
+    own, again = (divided.columns(bench, here, parameters, one) for one in given)
+    assert np.linalg.norm(own) > 0.0
+    assert np.array_equal(own, again)
 
 
 def test_pixels_stay_where_they_are_and_new_ones_tell_nothing() -> None:
