@@ -92,7 +92,7 @@ def image(
     lens = load_design(design)
     true_state = read_bench_state(state, lens)
     name, summaries = lens.title or design.stem, list[dict[str, Any]]()
-    for folder, chosen in _runs(lens, settings, output, all_wavelengths):
+    for folder, chosen in _runs(lens, settings, true_state, output, all_wavelengths):
         summaries.append(_recorded(lens, name, object_ or ["usaf"], chosen, true_state, folder, as_json))
         if not as_json:
             _print(summaries[-1], folder)
@@ -101,7 +101,7 @@ def image(
 
 
 def _runs(
-    lens: Lens, settings: ImageSettings, output: Path, all_wavelengths: bool
+    lens: Lens, settings: ImageSettings, state: SystemState | None, output: Path, all_wavelengths: bool
 ) -> list[tuple[Path, ImageSettings]]:
     """Output folder and settings of a recording."""
     if not all_wavelengths:
@@ -118,7 +118,7 @@ def _runs(
     if several is not None and settings.pixels is None:
         from wavesim.sensor.imaging import common_pixels
 
-        alone = alone.replaced(pixels=common_pixels(lens, alone, several))
+        alone = alone.replaced(pixels=common_pixels(lens, alone, several, state))
     return [
         (output / f"{wavelength:g}_um", alone.replaced(wavelength_um=wavelength))
         for wavelength in several or lens.wavelengths_um

@@ -233,11 +233,11 @@ def image(
     ]
     light = placed_light(light, true_state)
     target, behind_object = _behind_object(patch, light, layers, settings)
-    others = [
-        replace(one.transmission, values=light.values * one.transmission.values)
-        for one in targets[len(layers) :]
-    ]
     del light  # as large as the object field, which is kept
+    others = []
+    for own, one in zip(patches[len(layers) :], targets[len(layers) :], strict=True):
+        own_light = placed_light(lit(own, settings), true_state)
+        others.append(own_light.with_values(own_light.values * one.transmission.values))
     limit = memory_limit(settings.memory_gb)
     with tiles_in(settings.cluster) as hand_over_tiles:
 
@@ -333,7 +333,12 @@ def _behind_object(
     return Target(name, transmission_of(behind, light), (), layers[0].polarity), behind
 
 
-def common_pixels(lens: Lens, settings: ImageSettings, wavelengths_um: Sequence[float]) -> tuple[int, int]:
+def common_pixels(
+    lens: Lens,
+    settings: ImageSettings,
+    wavelengths_um: Sequence[float],
+    state: SystemState | Pose | None = None,
+) -> tuple[int, int]:
     """Return the pixels (across, down) of a window for the light of each of several wavelengths.
 
     Parameters
@@ -344,11 +349,15 @@ def common_pixels(lens: Lens, settings: ImageSettings, wavelengths_um: Sequence[
         Settings of the patch, the planes and the mounting.
     wavelengths_um
         Wavelengths, whose footprints differ by the dispersion of the glass.
+    state
+        Deviations from the design; default: those in the settings.
     """
-    planes = settings.planes_mm or lens.sensor.plane_distances_mm
+    recording = _recording(lens, settings, state)
     patch, _ = lit_patch(lens, settings, wavelengths_um[0])
     windows = [
-        sensor_window(lens, replace(patch, wavelength_um=one), planes, state=settings.pose)
+        sensor_window(
+            lens, replace(patch, wavelength_um=one), recording.plane_distances_mm, state=recording.state
+        )
         for one in wavelengths_um
     ]
     return max(window.pixels for window in windows)
@@ -417,9 +426,9 @@ def _coloured_objects(
 def _patch_and_light(lens: Lens, object_: str | Field, settings: ImageSettings) -> tuple[Patch, Field]:
     if isinstance(object_, str) and settings.wavelengths_um is not None:
         # The samples of all wavelengths are those that the shortest one needs.
-        patch, light = lit_patch(lens, settings, min(settings.wavelengths_um))
-        first = settings.wavelengths_um[0]
-        return replace(patch, wavelength_um=first), replace(light, wavelength_um=first)
+        patch, _ = lit_patch(lens, settings, min(settings.wavelengths_um))
+        patch = replace(patch, wavelength_um=settings.wavelengths_um[0])
+        return patch, lit(patch, settings)
     if isinstance(object_, str):
         return lit_patch(lens, settings, settings.wavelength_um)
     if settings.patch_mm is not None or settings.object_pitch_um is not None:
@@ -489,6 +498,11 @@ def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | 
         raise SettingError(f"{{exposure_error}} = {given!r}: must be 1 or {len(exposures)} numbers")
     true = _true_state(lens, settings, state, len(planes))
     colours = settings.wavelengths_um
+    if colours is not None and true.wavelength_um is not None:
+        raise SettingError(
+            f"{{state}}: has a wavelength of {true.wavelength_um:g} um, which cannot be used with "
+            "{wavelengths_um}"
+        )
     pixels = PixelErrors(
         settings.prnu,
         settings.dsnu_electrons,
