@@ -159,9 +159,23 @@ class ColourFilters(FrozenModel):
         if self.is_monochrome:
             (row,) = set(self.responses.values())
             return [np.array(response) for response in row]
-        table = np.array([[self.responses[letter] for letter in row] for row in self.pattern])
-        down, across = np.arange(shape[0]) % len(table), np.arange(shape[1]) % table.shape[1]
-        return [table[down[:, None], across[None, :], index] for index in range(len(self.wavelengths_um))]
+        letters = self.letters_on_pixels(shape)
+        return [
+            np.select([letters == name for name in self.responses], [row[n] for row in self.responses.values()])
+            for n in range(len(self.wavelengths_um))
+        ]
+
+    def letters_on_pixels(self, shape: tuple[int, ...]) -> NDArray[np.str_]:
+        """Return the letter of each pixel's filter.
+
+        Parameters
+        ----------
+        shape : (ny, nx)
+            Number of pixels.
+        """
+        pattern = np.array([list(row) for row in self.pattern])
+        rows, columns = np.arange(shape[0]) % len(pattern), np.arange(shape[1]) % pattern.shape[1]
+        return np.asarray(pattern[rows[:, None], columns[None, :]])
 
 
 def colour_filters(name: str, wavelengths_um: Sequence[float]) -> ColourFilters:

@@ -238,6 +238,7 @@ def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSe
         flat=settings.flat,
         dark=settings.dark,
         bad=settings.bad_pixels,
+        filters=None if own.colours is None else own.colours.letters_on_pixels(frames[0].counts.shape),
     )
     if maps is None:
         return list(frames)
@@ -253,13 +254,7 @@ def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSe
 
 
 def _without_bad(frames: Sequence[Frame]) -> list[Frame]:
-    """Return the frames with hot and dead pixels marked as bad.
-
-    Pixels behind different filters differ too much from each other to be compared.
-    """
-    colours = frames[0].settings.colours
-    if colours is not None and not colours.is_monochrome:
-        return list(frames)
+    """Return the frames with hot and dead pixels marked as bad."""
     planes = frames_by_plane(frames)
     result = list[Frame]()
     for plane, found in zip(planes, find_bad_pixels(planes), strict=True):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +28,38 @@ and the least signal of that neighbour. The dark point of a vortex has a ratio o
 def find_bad_pixels(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
     """Return, for each plane, the mask (ny, nx) of hot, dead or self-contradictory pixels.
 
+    Neighbours of a pixel behind a colour filter are the nearest pixels at the same place in the pattern of the
+    filters, because different filters transmit too different parts of the light.
+
     Parameters
     ----------
     planes
         Frames of each plane, all of the same size.
     """
+    shape, colours = planes[0][0].counts.shape, planes[0][0].settings.colours
+    if colours is None or colours.is_monochrome:
+        return _found_among_neighbours(planes)
+    found = [np.zeros(shape, bool) for _ in planes]
+    rows, columns = len(colours.pattern), len(colours.pattern[0])
+    for row, column in product(range(min(rows, shape[0])), range(min(columns, shape[1]))):
+        every = slice(row, None, rows), slice(column, None, columns)
+        of_place = [[_part_of(frame, every) for frame in plane] for plane in planes]
+        for mask, part in zip(found, _found_among_neighbours(of_place), strict=True):
+            mask[every] = part
+    return found
+
+
+def _part_of(frame: Frame, every: tuple[slice, slice]) -> Frame:
+    """Return a frame of some of the pixels, with their maps."""
+    maps = frame.maps
+    if maps is not None:
+        parts = {name: None if one is None else one[every] for name, one in vars(maps).items()}
+        maps = replace(maps, **parts)
+    return replace(frame, counts=np.ascontiguousarray(frame.counts[every]), maps=maps)
+
+
+def _found_among_neighbours(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
+    """Return the mask of each plane for pixels of equal response."""
     shape = planes[0][0].counts.shape
     found = [np.zeros(shape, bool) for _ in planes]
 

@@ -25,7 +25,7 @@ class PixelMaps:
     Attributes
     ----------
     gain : ndarray, optional
-        Gain relative to the mean, shape (ny, nx).
+        Gain relative to the mean of the pixels behind the same colour filter, shape (ny, nx).
     dark_electrons : ndarray, optional
         Dark signal above the dark count, in electrons.
     bad : ndarray of bool, optional
@@ -112,6 +112,7 @@ def read_pixel_maps(
     flat: Path | None = None,
     dark: Path | None = None,
     bad: Path | None = None,
+    filters: NDArray[np.str_] | None = None,
 ) -> PixelMaps | None:
     """Return pixel maps from a flat field, a dark frame, and a picture of bad pixels.
 
@@ -125,6 +126,9 @@ def read_pixel_maps(
         Files of frames in uniform light and without light, in counts. Pictures in a file are averaged.
     bad
         File of one picture that is not 0 in bad pixels.
+    filters
+        Letter of the colour filter on each pixel, whose transmission is no part of the gain. Default: all
+        pixels have the same filter.
 
     Returns
     -------
@@ -147,7 +151,7 @@ def read_pixel_maps(
             "may be: bad pixels are those that are not 0"
         )
     black = np.full(shape, offset_counts) if dark is None else _of_shape(dark, shape)
-    gain = None if flat is None else _gain(flat, _of_shape(flat, shape) - black, mask)
+    gain = None if flat is None else _gain(flat, _of_shape(flat, shape) - black, mask, filters)
     signal = None if dark is None else (black - offset_counts) * gain_electrons_per_count
     return PixelMaps(gain, signal, mask)
 
@@ -163,8 +167,8 @@ def _of_shape(path: Path, shape: tuple[int, ...], *, several: bool = True) -> Ar
     return values
 
 
-def _gain(path: Path, light: Array, bad: Mask | None) -> Array:
-    """Return the relative gain, 1 in bad pixels."""
+def _gain(path: Path, light: Array, bad: Mask | None, filters: NDArray[np.str_] | None) -> Array:
+    """Return the gain relative to the mean of pixels behind the same filter, 1 in bad pixels."""
     known = np.ones(light.shape, bool) if bad is None else ~bad
     dark = int(np.count_nonzero(light[known] <= 0.0))
     if dark:
@@ -172,4 +176,9 @@ def _gain(path: Path, light: Array, bad: Mask | None) -> Array:
             f"{path}: {dark} pixels show no light beyond the dark count: a flat must be above it "
             "everywhere; mark dead pixels as bad"
         )
-    return np.where(known, light / light[known].mean(), 1.0)
+    gain = np.ones(light.shape)
+    masks = [known] if filters is None else [known & (filters == one) for one in np.unique(filters)]
+    for mask in masks:
+        if mask.any():
+            gain[mask] = light[mask] / light[mask].mean()
+    return gain
