@@ -10,8 +10,8 @@ wavelength, whose phases determine heights (:mod:`wavesim.reconstruction.heights
 every iterate on films a exp(i k h), with the amplitude a and the height h of each sample.
 
 Standard deviations of heights follow from repeats: the frames are modelled from the result, get other noise,
-and are reconstructed again from the result. The ratio of the misfit to that of noise, where it is above 1,
-multiplies the deviations: residuals that noise does not explain count as more noise.
+and are reconstructed again from the same start as the frames. The ratio of the misfit to that of noise, where
+it is above 1, multiplies the deviations: residuals that noise does not explain count as more noise.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,6 +38,7 @@ from wavesim.metrics.result_quality import plane_metrics, truth_metrics
 from wavesim.reconstruction.heights import (
     Heights,
     StepHeight,
+    candidate_orders,
     common_phases,
     heights_from_phases,
     wave_numbers,
@@ -71,6 +73,9 @@ Prox = Callable[[NDArray[Any], float], NDArray[Any]]
 
 EXPLAINED = 1.5
 """Misfit over that of noise alone up to which the frames count as explained."""
+
+LEAST_DIFFERENCE = 1e-4
+"""Relative difference of two wavelengths, below which they are two statements of the same one."""
 
 
 class ColourPlane(NamedTuple):
@@ -226,7 +231,9 @@ class FoundColours:
             ("measurements for each unknown", f"{self.oversampling.ratio:.3g}"),
         ]
         for wavelength, truth in zip(self.wavelengths_um, self.truth, strict=bool(self.truth)):
-            rows.append((f"correlation at {wavelength:g} µm", f"{truth['object_correlation']:.4g}"))
+            correlation = truth["object_correlation"]
+            shown = "none" if correlation is None else f"{correlation:.4g}"
+            rows.append((f"correlation at {wavelength:g} µm", shown))
         return rows
 
     def as_dict(self) -> dict[str, Any]:
@@ -322,6 +329,7 @@ def reconstruct_colours(
         raise SettingError("{kind} thickness: requires {film_index}")
     validate_frames(lens, frames, settings)
     case = _problem(lens, frames, settings)
+    true_objects = _true_objects(case, truth)
     search = _Search(case, settings, progress or (lambda stage, completed, total: None))
     found = search.find(case.recorded)
     state, descent, transmissions = found.state, found.descent, found.transmission.astype(np.complex64)
@@ -349,7 +357,7 @@ def reconstruct_colours(
         stopped_because=descent.stop(state) or "iterations",
         scale=float(descent.model.scale),
         oversampling=_oversampling(lens, case, settings),
-        truth=_compared(case, fields, truth),
+        truth=_compared(case, fields, true_objects),
         heights=heights,
         repeats=repeats,
     )
@@ -382,6 +390,20 @@ def _problem(lens: Lens, frames: Sequence[Frame], settings: ColourSettings) -> _
             f"frames: all are of {wavelengths[0]:g} um; must be of two or more wavelengths (for one "
             "wavelength use `wavesim reconstruct`)"
         )
+    for one, other in pairwise(wavelengths):
+        if math.isclose(one, other, rel_tol=LEAST_DIFFERENCE):
+            raise InputError(
+                f"frames: are of {one:.8g} and {other:.8g} um: wavelengths must be equal, or differ by more "
+                f"than {100.0 * LEAST_DIFFERENCE:g} %"
+            )
+    rough = [number for number, surface in enumerate(lens.surfaces, start=1) if surface.roughness is not None]
+    if rough:
+        raise InputError(
+            f"lens: surface {rough[0]} is rough; the light that rough surfaces scatter is not modelled at "
+            "several wavelengths: omit the roughness, or use `wavesim reconstruct` at one wavelength"
+        )
+    if settings.film_index is not None:
+        candidate_orders(wavelengths, settings.film_index, settings.heights_um)
     field_mm = lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm
     patch = object_patch(
         lens,
@@ -391,6 +413,8 @@ def _problem(lens: Lens, frames: Sequence[Frame], settings: ColourSettings) -> _
         object_pitch_um=settings.object_pitch_um,
         field_stop_at_mm=settings.field_stop_at_mm or (0.0, 0.0),
     )
+    if settings.ground_mm is not None:
+        _samples_of(patch, settings.ground_mm, "{ground_mm}")
     lights = tuple(lit(replace(patch, wavelength_um=one), settings) for one in wavelengths)
     nearest = min(frame.settings.plane_distance_mm for frame in frames)
     rows, columns = frames[0].counts.shape
@@ -752,23 +776,32 @@ def _oversampling(lens: Lens, case: _Problem, settings: ColourSettings) -> Overs
     )
 
 
-def _compared(
-    case: _Problem, fields: Sequence[Field], truth: Sequence[Field] | Path | None
-) -> tuple[dict[str, float | None], ...]:
-    """Compare the result with the true object at each wavelength."""
+def _true_objects(case: _Problem, truth: Sequence[Field] | Path | None) -> tuple[Field, ...]:
+    """Return the true object at each wavelength; empty without one."""
     if truth is None:
         return ()
     if isinstance(truth, Path):
         truth = read_coloured_object(truth, case.patch, case.wavelengths_um)
-    by_wavelength = {one.wavelength_um: one for one in truth}
-    compared = []
-    for found, light, engine in zip(fields, case.lights, case.engines, strict=True):
-        true = by_wavelength.get(found.wavelength_um)
-        if true is None or true.grid != found.grid:
+    by_wavelength, found = {one.wavelength_um: one for one in truth}, list[Field]()
+    for wavelength in case.wavelengths_um:
+        true = by_wavelength.get(wavelength)
+        if true is None or true.grid != case.patch.grid:
             known = ", ".join(f"{one:g}" for one in sorted(by_wavelength))
             raise InputError(
-                f"truth: needs the object at {found.wavelength_um:g} um on the grid {found.grid}; it has "
+                f"truth: needs the object at {wavelength:g} um on the grid {case.patch.grid}; it has "
                 f"{known} um"
             )
-        compared.append(truth_metrics(found, true, light, case.patch.inside, engine.scene, Scratch()))
-    return tuple(compared)
+        found.append(true)
+    return tuple(found)
+
+
+def _compared(
+    case: _Problem, fields: Sequence[Field], true_objects: Sequence[Field]
+) -> tuple[dict[str, float | None], ...]:
+    """Compare the result with the true object at each wavelength."""
+    return tuple(
+        truth_metrics(found, true, light, case.patch.inside, engine.scene, Scratch())
+        for found, true, light, engine in zip(
+            fields, true_objects, case.lights, case.engines, strict=bool(true_objects)
+        )
+    )

@@ -106,6 +106,33 @@ def unambiguous_um(wavelengths_um: Sequence[float], index: float) -> float:
     return 2.0 * math.pi / closest
 
 
+def candidate_orders(
+    wavelengths_um: Sequence[float], index: float, heights_um: tuple[float, float] | None = None
+) -> tuple[float, float, range]:
+    """Return the lowest and highest possible height, and the orders of the shortest wavelength between them.
+
+    Parameters
+    ----------
+    wavelengths_um, index, heights_um
+        See :func:`heights_from_phases`.
+
+    Raises
+    ------
+    InputError
+        If wavelengths are equal, or the range contains more than `LARGEST_ORDERS` orders.
+    """
+    half_um = 0.5 * unambiguous_um(wavelengths_um, index)
+    low, high = heights_um or (-half_um, half_um)
+    period_um = 2.0 * math.pi / float(wave_numbers(wavelengths_um, index).max())
+    orders = range(math.floor(low / period_um) - 1, math.ceil(high / period_um) + 2)
+    if len(orders) > LARGEST_ORDERS:
+        raise InputError(
+            f"heights_um = {low:g}, {high:g}: contain {len(orders)} orders of {period_um:.4g} um; at most "
+            f"{LARGEST_ORDERS} are allowed: give a smaller range, or wavelengths that differ more"
+        )
+    return low, high, orders
+
+
 def heights_from_phases(
     phases: Array,
     deviations: Array,
@@ -159,19 +186,11 @@ def heights_from_phases(
     if not np.all(deviations > 0.0):
         raise InputError("deviations: must be above 0")
     numbers = wave_numbers(wavelengths_um, index)
-    half_um = 0.5 * unambiguous_um(wavelengths_um, index)
-    low, high = heights_um or (-half_um, half_um)
+    low, high, orders = candidate_orders(wavelengths_um, index, heights_um)
     column = numbers.reshape(-1, *[1] * (phases.ndim - 1))
     precision = column / deviations**2
     information = np.sum(column * precision, axis=0)
     first = int(np.argmax(numbers))
-    period_um = 2.0 * math.pi / numbers[first]
-    orders = range(math.floor(low / period_um) - 1, math.ceil(high / period_um) + 2)
-    if len(orders) > LARGEST_ORDERS:
-        raise InputError(
-            f"heights_um = {low:g}, {high:g}: contain {len(orders)} orders of {period_um:.4g} um; at most "
-            f"{LARGEST_ORDERS} are allowed"
-        )
     shape = phases.shape[1:]
     best_um, best, second = np.zeros(shape), np.full(shape, np.inf), np.full(shape, np.inf)
     for order in orders:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
+from lensdesign.lens.surface_roughness import SurfaceRoughness
 from wavesim.fields.field import Field
 from wavesim.reconstruction.colours import FilmProjection, FoundColours, reconstruct_colours
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
@@ -65,9 +67,12 @@ def test_two_objects_are_told_apart_by_their_wavelengths(filters: str) -> None:
     exchanged = np.corrcoef(one[inside], np.abs(taken.coloured[1].values)[inside])[0, 1]
     assert abs(exchanged) < 0.4
     summary = found.as_dict()
-    assert summary["explained"] == found.explained
+    assert summary["explained"]
+    assert found.over_noise < 1.3
     assert len(summary["planes"]) == 3
     assert "correlation at 0.635" in repr(found)
+    unknown = replace(found, truth=({"object_correlation": None},) * 2)
+    assert "correlation at 0.635 µm none" in repr(unknown)
     assert "<table>" in found._repr_html_()
     assert np.isfinite(other).all()
 
@@ -165,4 +170,30 @@ def test_wrong_frames_and_settings_are_named() -> None:
         reconstruct_frames(LENS, frames, **FOUND)
     truth = [replace(one, wavelength_um=0.5) for one in objects()]
     with pytest.raises(InputError, match=r"needs the object at 0\.532 um"):
-        reconstruct_colours(LENS, frames, kind="amplitude", iterations=1, scale=1.0, truth=truth, **FOUND)
+        reconstruct_colours(LENS, frames, kind="amplitude", truth=truth, progress=no_search, **FOUND)
+
+
+def no_search(stage: str, _completed: int, _total: int) -> None:
+    """Fail as soon as a search makes progress."""
+    pytest.fail(f"the search began: {stage}")
+
+
+def test_inputs_are_checked_before_the_search() -> None:
+    (frame,) = taken_at_once("monochrome").frames[:1]
+    assert frame.settings.colours is not None
+    nearly = frame.settings.colours.replaced(wavelengths_um=(0.532, 0.53201))
+    similar = frame.settings.colours.replaced(wavelengths_um=(0.532, 0.5322))
+    rough = LENS.with_surface(1, roughness=SurfaceRoughness(rms_nm=2.0, correlation_length_um=2.0))
+    for lens, colours, changes, message in (
+        (LENS, nearly, {}, "0.532 and 0.53201 um: wavelengths must be equal, or differ"),
+        (LENS, similar, {"film_index": 1.5}, "contain .* orders .* wavelengths that differ more"),
+        (LENS, None, {"film_index": 1.5, "heights_um": (0.0, 5000.0)}, "at most 2000 are allowed"),
+        (LENS, None, {"film_index": 1.5, "ground_mm": (1.0, 0.0, 0.1, 0.1)}, "ground_mm .* no samples"),
+        (LENS, None, {"truth": Path("missing")}, "has no object at 0.532 um"),
+        (rough, None, {}, "surface 2 is rough"),
+    ):
+        settings = frame.settings if colours is None else frame.settings.replaced(colours=colours)
+        with pytest.raises(InputError, match=message):
+            reconstruct_colours(
+                lens, [Frame(frame.counts, settings)], progress=no_search, **FOUND, **changes
+            )
