@@ -484,7 +484,16 @@ class ColourObjectSettings(Settings):
         description="The object is a clear film of this thickness where its amplitude is 1, and thinner in "
         "proportion elsewhere.",
     )
-    film_index: float = Field(1.5, gt=1.0, le=5.0, description="Refractive index of such a film, in air.")
+    film_index: float | None = Field(
+        None, gt=1.0, le=5.0, description="Refractive index of such a film, in air; default: 1.5."
+    )
+
+    @field_validator("film_index")
+    @classmethod
+    def _of_a_film(cls, film_index: float | None, info: ValidationInfo) -> float | None:
+        if film_index is not None and info.data.get("thickness_um") is None:
+            raise SettingError("{film_index}: requires {thickness_um}")
+        return film_index
 
     @field_validator("wavelengths_um")
     @classmethod

@@ -52,9 +52,9 @@ from wavesim.sensor.windows import (
     light_window,
     sensor_window,
 )
-from wavesim.targets.colours import channel_of, film
+from wavesim.targets.colours import FILM_INDEX, channel_of, film
 from wavesim.targets.layers import layer_stack
-from wavesim.targets.patch import Patch, Target, lit, lit_patch, make_target, transmission_of
+from wavesim.targets.patch import MAKERS, Patch, Target, lit, lit_patch, make_target, transmission_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -442,6 +442,7 @@ def _patch_and_light(lens: Lens, object_: str | Field, settings: ImageSettings) 
 
 
 def _target(lens: Lens, patch: Patch, object_: str | Field, settings: ImageSettings) -> Target:
+    _validate_coloured(object_, settings)
     if isinstance(object_, Field):
         return Target("transmission", object_, (), "bright")
     target = make_target(
@@ -457,8 +458,23 @@ def _target(lens: Lens, patch: Patch, object_: str | Field, settings: ImageSetti
     )
     if settings.thickness_um is None:
         return target
-    shape, thickness_um = target.transmission, settings.thickness_um
-    return replace(target, transmission=film(shape, thickness_um, settings.film_index, patch.wavelength_um))
+    shape, thickness_um, index = target.transmission, settings.thickness_um, settings.film_index or FILM_INDEX
+    return replace(target, transmission=film(shape, thickness_um, index, patch.wavelength_um))
+
+
+def _validate_coloured(object_: str | Field, settings: ImageSettings) -> None:
+    """Check that settings of objects that depend on the wavelength have an effect on an object."""
+    given = "a transmission" if isinstance(object_, Field) else repr(object_)
+    is_built_in = isinstance(object_, str) and object_ in ("usaf", *MAKERS)
+    if settings.channels and (is_built_in or isinstance(object_, Field)):
+        raise SettingError(
+            f"{{channels}}: has no effect on the object {given}; must be used with a colour picture"
+        )
+    if settings.thickness_um is not None and (isinstance(object_, Field) or object_ in ("phase", "empty")):
+        raise SettingError(
+            f"{{thickness_um}}: cannot be used with the object {given}; must be used with an object whose "
+            "amplitude varies (usaf, star, tissue, or a picture)"
+        )
 
 
 def _true_state(

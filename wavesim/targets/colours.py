@@ -12,6 +12,9 @@ from wavesim.fields.field import Field
 BLUE_GREEN_UM, GREEN_RED_UM = 0.49, 0.58
 """Wavelengths that separate the channels of a colour picture."""
 
+FILM_INDEX = 1.5
+"""Refractive index of a film for which none is stated, such as that of a resist or of glass."""
+
 
 def channel_of(wavelength_um: float) -> int:
     """Return the index of the channel (0 red, 1 green, 2 blue) that belongs to a wavelength.

@@ -48,9 +48,13 @@ def test_channels_of_a_picture_are_found_behind_colour_filters(
     assert stated.colours.responses["R"] == (0.04, 0.9)
     arguments = ("--kind", "amplitude", "--truth", frames, "--iterations", 40)
     code, out, err = wavesim("colours", twin, frames, *QUICK, *arguments, "-o", output, "--json")
-    assert code in (0, 1)
     summary = json.loads(out)
+    assert (code, summary["explained"]) == (0, True), summary["over_noise"]
     assert min(one["object_correlation"] for one in summary["truth"]) > 0.8
+    wrong = ("--kind", "amplitude", "--despace-mm", 0.03, "--iterations", 5, "-o", tmp_path / "wrong")
+    code, out, _ = wavesim("colours", twin, frames, *QUICK, *wrong)
+    assert code == 1
+    assert "not explained by noise" in out
     assert {
         "reconstruction_0.45_um.npz",
         "reconstruction_0.635_um.npz",
@@ -78,12 +82,17 @@ def test_heights_are_found_from_subfolders_of_wavelengths(
     folders = [frames / f"{one}_um" for one in (0.45, 0.635)]
     arguments = ("--film-index", 1.5, "--repeats", 2, "--iterations", 5, "--truth", frames)
     code, out, _ = wavesim("colours", twin, *folders, *QUICK, *arguments, "-o", output)
-    assert code in (0, 1)
+    assert code == 0
+    assert ": explained by noise" in out
     assert "standard deviation" in out
     stored = np.load(output / "heights.npz")
     assert stored["height_um"].shape == stored["deviation_um"].shape == stored["ambiguous"].shape
     assert float(stored["deviation_um"].min()) > 0.0
     assert (output / "heights.png").exists()
+
+
+def with_object(changes: tuple) -> tuple:
+    return changes if "--object" in changes else ("--object", "tissue", *changes)
 
 
 @pytest.mark.parametrize(
@@ -95,13 +104,16 @@ def test_heights_are_found_from_subfolders_of_wavelengths(
         ((*LIGHT, "--ghosts", "coherent"), "cannot be used with --wavelengths-um"),
         ((*LIGHT, "--colour-filters", "bayer", "--all-wavelengths"), "--all-wavelengths, --colour-filters"),
         ((*LIGHT, "--channels", "--thickness-um", 1.0), "--channels, --thickness-um: give only one"),
+        (("--film-index", 1.4), "--film-index: requires --thickness-um"),
+        (("--channels",), "--channels: has no effect on the object 'tissue'"),
+        (("--object", "phase", "--thickness-um", 0.3), "--thickness-um: cannot be used with the object 'phase'"),
         (("--wavelengths-um", "0.45,0.9", "--colour-filters", "bayer"), "typical Bayer filters"),
     ],
 )
 def test_options_that_do_not_go_together_are_named(
     wavesim: Command, twin: Path, tmp_path: Path, changes: tuple, message: str
 ) -> None:
-    code, _, err = wavesim("image", twin, *QUICK, "--object", "tissue", *changes, "-o", tmp_path / "out")
+    code, _, err = wavesim("image", twin, *QUICK, *with_object(changes), "-o", tmp_path / "out")
     assert code == 2
     assert message in err
     assert not (tmp_path / "out").exists()
