@@ -114,7 +114,7 @@ def _objects(folder: Path | None) -> list[Row]:
 
 
 def _other_planes() -> list[Row]:
-    cases = (("amplitude", (1, 2, 3)), ("complex", (1, 2, 8, 12)))
+    cases = (("amplitude", (1, 2, 3)), ("complex", (1, 2, 8, 12, 20)))
     return [
         _row(filters, kind, planes, None)
         for kind, counts in cases

@@ -151,3 +151,8 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     ratio = summary["over_noise"]
     verdict = "explained by noise" if summary["explained"] else "not explained by noise"
     print(f"residuals are {ratio:.3g} times those of noise alone: {verdict}")
+    print(
+        f"on pixels that were held out, they are at most {summary['held_out_over_noise']:.3g} times the noise"
+    )
+    if summary["explained"] and not summary["predicts_held_out"]:
+        print("this is more than a reliable object leaves: record more planes or longer exposures")

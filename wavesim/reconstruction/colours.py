@@ -34,7 +34,10 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Field
 from wavesim.forward.colour_model import ColourModel, Response
+from wavesim.metrics.goodness_of_fit import LIMIT, PlaneFit, plane_verdicts
+from wavesim.metrics.plane_residuals import PlaneResidual
 from wavesim.metrics.result_quality import plane_metrics, truth_metrics
+from wavesim.reconstruction.diagnostics.held_out import HeldOut, hold_out
 from wavesim.reconstruction.heights import (
     Heights,
     StepHeight,
@@ -70,9 +73,6 @@ from wavesim.targets.patch import Patch, lit, object_patch, read_coloured_object
 
 Transmissions = NDArray[np.complexfloating[Any, Any]]
 Prox = Callable[[NDArray[Any], float], NDArray[Any]]
-
-EXPLAINED = 1.5
-"""Misfit over that of noise alone up to which the frames count as explained."""
 
 LEAST_DIFFERENCE = 1e-4
 """Relative difference of two wavelengths, below which they are two statements of the same one."""
@@ -118,6 +118,8 @@ class FoundColours:
         Relative misfit of each iteration.
     over_noise : float
         Last misfit over the misfit of noise alone.
+    fits : tuple of PlaneFit
+        Goodness of fit of each plane, on fitted pixels and on pixels that were held out.
     stopped_because : {"noise", "converged", "iterations"}
         Reason for the end of the iterations.
     scale : float
@@ -153,6 +155,7 @@ class FoundColours:
     residual_maps: tuple[Array, ...]
     misfit: tuple[float, ...]
     over_noise: float
+    fits: tuple[PlaneFit, ...]
     stopped_because: Stop
     scale: float
     oversampling: Oversampling
@@ -167,8 +170,21 @@ class FoundColours:
 
     @property
     def explained(self) -> bool:
-        """Whether noise explains the residuals."""
-        return self.over_noise <= EXPLAINED
+        """Whether noise explains the residuals of each plane, by the limit of a single wavelength."""
+        return max(fit.over_noise or 0.0 for fit in self.fits) <= LIMIT
+
+    @property
+    def predicts_held_out(self) -> bool:
+        """Whether the residuals on pixels that were held out are within the limit of a single wavelength.
+
+        Where they are not, the object may be wrong, although noise explains the residuals on fitted pixels.
+        """
+        return max(fit.excess for fit in self.fits) <= 1.0
+
+    @property
+    def held_out_over_noise(self) -> float:
+        """Largest ratio of a plane's residuals to the noise, on pixels that were held out."""
+        return max(fit.held_out_over_noise or 0.0 for fit in self.fits)
 
     def height_between(
         self, region_mm: tuple[float, float, float, float], ground_mm: tuple[float, float, float, float]
@@ -227,7 +243,7 @@ class FoundColours:
             ("wavelengths", ", ".join(f"{one:g}" for one in self.wavelengths_um) + " µm"),
             ("planes", str(len(self.planes))),
             ("iterations", f"{len(self.misfit)}{STOPPED[self.stopped_because]}"),
-            ("misfit over noise", f"{self.over_noise:.3g}"),
+            ("misfit over noise", f"{self.over_noise:.3g}, held out {self.held_out_over_noise:.3g}"),
             ("measurements for each unknown", f"{self.oversampling.ratio:.3g}"),
         ]
         for wavelength, truth in zip(self.wavelengths_um, self.truth, strict=bool(self.truth)):
@@ -255,7 +271,9 @@ class FoundColours:
             "stopped_because": self.stopped_because,
             "misfit": self.misfit[-1],
             "over_noise": self.over_noise,
+            "held_out_over_noise": self.held_out_over_noise,
             "explained": self.explained,
+            "predicts_held_out": self.predicts_held_out,
             "scale": self.scale,
             "measurements_per_unknown": self.oversampling.ratio,
             "planes": [
@@ -264,8 +282,12 @@ class FoundColours:
                     "wavelengths_um": list(plane.wavelengths_um),
                     "mosaic": plane.is_mosaic,
                     **plane_metrics(recorded.amplitude, recorded.sigma, error),
+                    "over_noise": fit.over_noise,
+                    "held_out_over_noise": fit.held_out_over_noise,
                 }
-                for plane, recorded, error in zip(self.planes, self.recorded, self.residual_maps, strict=True)
+                for plane, recorded, error, fit in zip(
+                    self.planes, self.recorded, self.residual_maps, self.fits, strict=True
+                )
             ],
             "truth": [dict(one) for one in self.truth],
             "heights": heights,
@@ -354,6 +376,7 @@ def reconstruct_colours(
         residual_maps=tuple(maps),
         misfit=state.misfit,
         over_noise=state.misfit[-1] / noise if noise else math.nan,
+        fits=tuple(plane_verdicts(_residuals(case, maps))),
         stopped_because=descent.stop(state) or "iterations",
         scale=float(descent.model.scale),
         oversampling=_oversampling(lens, case, settings),
@@ -364,7 +387,10 @@ def reconstruct_colours(
 
 
 class _Problem(NamedTuple):
-    """Inputs of the search: objects, light, engines and measurements."""
+    """Inputs of the search: objects, light, engines and measurements.
+
+    Some pixels of each plane are held out of the measurements (infinite deviation), to test the result.
+    """
 
     patch: Patch
     wavelengths_um: tuple[float, ...]
@@ -373,6 +399,7 @@ class _Problem(NamedTuple):
     planes: tuple[ColourPlane, ...]
     recorded: tuple[Measurement, ...]
     responses: tuple[tuple[Response, ...], ...]
+    held_out: tuple[HeldOut, ...]
 
 
 def _problem(lens: Lens, frames: Sequence[Frame], settings: ColourSettings) -> _Problem:
@@ -436,15 +463,27 @@ def _problem(lens: Lens, frames: Sequence[Frame], settings: ColourSettings) -> _
             recorded.append(replace(plane, distance_mm=near - nearest + plane.distance_mm))
             by_wavelength = dict(zip(seen, on_pixels, strict=True))
             responses.append(tuple(by_wavelength.get(one, 0.0) for one in wavelengths))
+    given, held_out = hold_out(recorded)
     return _Problem(
         patch,
         wavelengths,
         lights,
         tuple(first.at_wavelength(one) for one in wavelengths),
         tuple(planes),
-        tuple(recorded),
+        tuple(given),
         tuple(responses),
+        held_out,
     )
+
+
+def _residuals(case: _Problem, maps: Sequence[Array]) -> list[PlaneResidual]:
+    """Return the residuals of each plane, on fitted and on held-out pixels."""
+    residuals = []
+    for plane, known, error, held in zip(case.planes, case.recorded, maps, case.held_out, strict=True):
+        assert known.sigma is not None
+        left = known.amplitude, known.sigma, error, held.pixels, held.sigma
+        residuals.append(PlaneResidual(plane.distance_mm, *left))
+    return residuals
 
 
 def _groups(frames: Sequence[Frame]) -> Iterator[list[Frame]]:

@@ -161,7 +161,9 @@ class ColourFilters(FrozenModel):
             return [np.array(response) for response in row]
         letters = self.letters_on_pixels(shape)
         return [
-            np.select([letters == name for name in self.responses], [row[n] for row in self.responses.values()])
+            np.select(
+                [letters == name for name in self.responses], [row[n] for row in self.responses.values()]
+            )
             for n in range(len(self.wavelengths_um))
         ]
 

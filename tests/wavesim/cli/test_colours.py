@@ -106,7 +106,10 @@ def with_object(changes: tuple) -> tuple:
         ((*LIGHT, "--channels", "--thickness-um", 1.0), "--channels, --thickness-um: give only one"),
         (("--film-index", 1.4), "--film-index: requires --thickness-um"),
         (("--channels",), "--channels: has no effect on the object 'tissue'"),
-        (("--object", "phase", "--thickness-um", 0.3), "--thickness-um: cannot be used with the object 'phase'"),
+        (
+            ("--object", "phase", "--thickness-um", 0.3),
+            "--thickness-um: cannot be used with the object 'phase'",
+        ),
         (("--wavelengths-um", "0.45,0.9", "--colour-filters", "bayer"), "typical Bayer filters"),
     ],
 )

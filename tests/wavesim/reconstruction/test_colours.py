@@ -69,12 +69,29 @@ def test_two_objects_are_told_apart_by_their_wavelengths(filters: str) -> None:
     summary = found.as_dict()
     assert summary["explained"]
     assert found.over_noise < 1.3
+    assert 0.7 < found.held_out_over_noise < 1.5
     assert len(summary["planes"]) == 3
     assert "correlation at 0.635" in repr(found)
     unknown = replace(found, truth=({"object_correlation": None},) * 2)
     assert "correlation at 0.635 µm none" in repr(unknown)
     assert "<table>" in found._repr_html_()
     assert np.isfinite(other).all()
+
+
+def test_held_out_pixels_contradict_a_wrong_object_that_noise_explains() -> None:
+    """With few photons in fine detail, the fitted pixels alone would not show the errors of the object."""
+    patch: dict[str, Any] = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    light: dict[str, Any] = {"wavelengths_um": (0.45, 0.635), "colour_filters": "bayer"}
+    taken = image(LENS, "star", planes_mm=(0.03, 0.2), exposures=(1.0, 30.0), **light, **patch)
+    wrong, right = (
+        reconstruct_colours(LENS, taken.frames, kind="amplitude", scale=scale, truth=taken.coloured, **patch)
+        for scale in (None, 1.0)
+    )
+    assert min(correlations(wrong)) < 0.85 < 0.94 < min(correlations(right))
+    assert wrong.over_noise < 1.05
+    assert wrong.explained
+    assert not wrong.predicts_held_out
+    assert right.predicts_held_out
 
 
 def test_wavelengths_in_turn_are_found_as_each_alone() -> None:
@@ -194,6 +211,4 @@ def test_inputs_are_checked_before_the_search() -> None:
     ):
         settings = frame.settings if colours is None else frame.settings.replaced(colours=colours)
         with pytest.raises(InputError, match=message):
-            reconstruct_colours(
-                lens, [Frame(frame.counts, settings)], progress=no_search, **FOUND, **changes
-            )
+            reconstruct_colours(lens, [Frame(frame.counts, settings)], progress=no_search, **FOUND, **changes)
