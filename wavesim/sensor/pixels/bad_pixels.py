@@ -28,8 +28,8 @@ and the least signal of that neighbour. The dark point of a vortex has a ratio o
 def find_bad_pixels(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
     """Return, for each plane, the mask (ny, nx) of hot, dead or self-contradictory pixels.
 
-    Neighbours of a pixel behind a colour filter are the nearest pixels at the same place in the pattern of the
-    filters, because different filters transmit too different parts of the light.
+    Neighbours of a pixel behind a colour filter are the nearest pixels at the same place in the pattern of
+    the filters, because different filters transmit too different parts of the light.
 
     Parameters
     ----------
