@@ -170,8 +170,9 @@ class CalibrationProblem:
         try:
             chosen = chosen_parameters(requested, allowed)
         except InputError as error:
-            hint = "; the light of a complex object is not calibrated: use {kind} amplitude" * (
-                not light_order
+            hint = (
+                f"; the light of a {self.settings.kind} object is not calibrated: use {{kind}} amplitude"
+                * (not light_order)
             )
             raise SettingError(f"{{parameters}} = {requested!r}: {error}{hint}") from None
         if self.seeks_stop:
