@@ -11,9 +11,9 @@ noise before smooth phase has converged. Each plan is therefore tried with sever
 (:data:`TRIAL_OBJECTS`), and the prediction is the range of their correlations.
 
 Where the user describes the object by an example, the prediction is a single value. The example is tried like
-the other objects, with two draws of the noise. A twin that is smaller than the patch images the middle of the
-example, in which details have their own size. The middle may change more or less of the light than the whole
-example, and the error is scaled by the ratio of both.
+the other objects, on a larger twin and with two draws of the noise. A twin whose patch is smaller images the
+middle of the example, in which details have their own size. The middle may change more or less of the light
+than the whole example, and the error is scaled by the ratio of both.
 """
 
 from __future__ import annotations
@@ -58,6 +58,9 @@ MOST_PIXELS, MOST_SAMPLES = 144, 192
 """Largest number of pixels across the light on the farthest plane, and of object samples along a side, of a
 twin.
 """
+
+MOST_EXAMPLE_PIXELS = 220
+"""Largest number of pixels across the light for the described object: a larger twin images more of it."""
 
 EXAMPLE = "described"
 """Name of the user's example among the objects of a plan."""
@@ -265,6 +268,8 @@ class Plans:
         Name of the described object; empty without a description.
     example_strength : float
         Rms fraction of the amplitude that the whole described object changes; NaN without a description.
+    example_twin : Twin or None
+        Twin that was simulated for the described object; None without a description.
     """
 
     settings: PlanSettings
@@ -275,6 +280,7 @@ class Plans:
     engine_error: float = math.nan
     example: str = ""
     example_strength: float = math.nan
+    example_twin: Twin | None = None
 
     @property
     def assumptions(self) -> tuple[str, ...]:
@@ -325,9 +331,10 @@ class Plans:
         """Return a sentence about the described object, if there is one."""
         if not self.example:
             return ()
-        tried, whole = self.strengths[EXAMPLE], self.example_strength
+        tried, whole, twin = self.strengths[EXAMPLE], self.example_strength, self.example_twin
+        size = "" if twin is None or self.twin.scale == 1.0 else f" ({twin.scale:.3g} of the lens)"
         return (
-            f"Described object: {self.example}, changes {whole:.2g} of the light's amplitude; the twin "
+            f"Described object: {self.example}, changes {whole:.2g} of the light's amplitude; its twin{size} "
             f"images a part that changes {tried:.2g}. {DRAWS} draws of the noise.",
         )
 
@@ -417,9 +424,7 @@ def plan_frames(
     near, far = _range(lens, settings)
     patch_mm = lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm
     patch = object_patch(lens, patch_mm, wavelength_um=settings.wavelength_um)
-    twin = _twin(lens, patch, settings, far)
-    small_lens = lens if twin.scale == 1.0 else scaled(lens, twin.scale)
-    small = object_patch(small_lens, twin.patch_mm, wavelength_um=settings.wavelength_um)
+    small = _small_bench(lens, patch, settings, far)
     exposure_sets = dict.fromkeys([settings.exposures[:1], settings.exposures])
     candidates = list(candidates) or [
         (tuple(float(z) for z in np.linspace(near, far, count)), exposures)
@@ -427,17 +432,18 @@ def plan_frames(
         for exposures in exposure_sets
     ]
     candidates.sort(key=lambda plan: (len(plan[0]) * len(plan[1]), len(plan[0])))
-    targets = random_objects(small, settings)
+    targets = {name: (small, target) for name, target in random_objects(small.patch, settings).items()}
     whole = None if example is None else _example(lens, patch, example, settings)
     strength = math.nan
     if whole is not None:
-        targets[EXAMPLE] = _middle(whole, small)
+        larger = _small_bench(lens, patch, settings, far, MOST_EXAMPLE_PIXELS)
+        targets[EXAMPLE] = larger, _middle(whole, larger.patch)
         stop_mm = min(patch.field_stop_mm, min(whole.grid.shape) * whole.grid.pitch_mm)
         strength = _strength(whole.values[replace(patch, grid=whole.grid, field_stop_mm=stop_mm).inside])
         if strength == 0.0:
             raise InputError("example: changes no light; the correlation of such an object is not defined")
-    plans = predicted_plans(
-        small_lens, targets, settings, twin, candidates, diversity(lens, patch, (near, far)), progress
+    plans = _predicted_plans(
+        targets, settings, small.twin, candidates, diversity(lens, patch, (near, far)), progress
     )
     if whole is None:
         return plans
@@ -446,6 +452,7 @@ def plan_frames(
         plans=tuple(_of_strength(plan, plans.strengths[EXAMPLE] / strength) for plan in plans.plans),
         example=example if isinstance(example, str) else "the given transmission",
         example_strength=strength,
+        example_twin=targets[EXAMPLE][0].twin,
     )
 
 
@@ -485,23 +492,20 @@ def _of_strength(plan: Plan, factor: float) -> Plan:
     return replace(plan, predicted=math.sqrt(1.0 - error**2))
 
 
-def predicted_plans(
-    lens: Lens,
-    targets: Mapping[str, Field],
+def _predicted_plans(
+    targets: Mapping[str, tuple[_SmallBench, Field]],
     settings: PlanSettings,
     twin: Twin,
     candidates: Sequence[tuple[tuple[float, ...], tuple[float, ...]]],
     diversity_of_planes: float,
     progress: Progress | None = None,
 ) -> Plans:
-    """Simulate plans on a twin.
+    """Simulate plans on twins.
 
     Parameters
     ----------
-    lens
-        The twin's lens.
     targets
-        Trial objects by name; the described object has the name `EXAMPLE`.
+        Trial objects by name, each with its bench; the described object has the name `EXAMPLE`.
     settings, twin
         See :class:`Plans`.
     candidates
@@ -516,10 +520,10 @@ def predicted_plans(
     planes = sorted({z for planes, _ in candidates for z in planes})
     trials = {
         name: [
-            trial_of(lens, target, settings.replaced(seed=settings.seed + draw), twin, planes)
+            trial_of(bench.lens, target, settings.replaced(seed=settings.seed + draw), bench.twin, planes)
             for draw in range(DRAWS if name == EXAMPLE else 1)
         ]
-        for name, target in targets.items()
+        for name, (bench, target) in targets.items()
     }
     plans = []
     for index, (planes_mm, exposures) in enumerate(candidates):
@@ -575,9 +579,29 @@ def _range(lens: Lens, settings: PlanSettings) -> tuple[float, float]:
     return min(planes), max(planes)
 
 
-def _twin(lens: Lens, patch: Patch, settings: PlanSettings, far_mm: float) -> Twin:
+class _SmallBench(NamedTuple):
+    """A twin, its lens, and its patch."""
+
+    twin: Twin
+    lens: Lens
+    patch: Patch
+
+
+def _small_bench(
+    lens: Lens, patch: Patch, settings: PlanSettings, far_mm: float, most_pixels: int = MOST_PIXELS
+) -> _SmallBench:
+    """Return a twin whose light covers at most a number of pixels across on the farthest plane."""
+    twin = _twin(lens, patch, settings, far_mm, most_pixels)
+    small_lens = lens if twin.scale == 1.0 else scaled(lens, twin.scale)
+    small = object_patch(small_lens, twin.patch_mm, wavelength_um=settings.wavelength_um)
+    return _SmallBench(twin, small_lens, small)
+
+
+def _twin(
+    lens: Lens, patch: Patch, settings: PlanSettings, far_mm: float, most_pixels: int = MOST_PIXELS
+) -> Twin:
     pixels_across = 1e3 * footprint_mm(lens, patch, far_mm) / lens.sensor.pixel_pitch_um
-    scale = min(1.0, MOST_PIXELS / pixels_across)
+    scale = min(1.0, most_pixels / pixels_across)
     widest_mm = MOST_SAMPLES * patch.grid.pitch_mm
     patch_mm = min(patch.field_stop_mm * math.sqrt(scale), scale * lens.object.field_diameter_mm, widest_mm)
     small_lens = scaled(lens, scale)

@@ -97,8 +97,12 @@ def _summary(found: Plans, title: str, messages: list[str]) -> dict[str, Any]:
             for name, strength in found.strengths.items()
             if name in TRIAL_OBJECTS
         ],
-        "described": {"name": found.example, "changes_of_amplitude": found.example_strength}
-        if found.example
+        "described": {
+            "name": found.example,
+            "changes_of_amplitude": found.example_strength,
+            "twin": found.example_twin._asdict(),
+        }
+        if found.example_twin is not None
         else None,
         "assumptions": list(found.assumptions),
         "plans": [_plan_values(plan) | {"recommended": plan is found.recommended} for plan in found.plans],

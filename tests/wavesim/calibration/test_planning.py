@@ -10,6 +10,7 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.calibration.planning import (
+    EXAMPLE,
     MOST_PIXELS,
     Plan,
     Plans,
@@ -130,6 +131,20 @@ def test_a_small_twin_images_the_middle_of_an_example() -> None:
     assert middle.grid == small.grid
     assert middle.values[0, 0] == whole.values[offset, offset]
     assert middle.values[-1, -1] == whole.values[-offset - 1, -offset - 1]
+
+
+def test_a_described_object_is_tried_on_a_larger_twin(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ITERATIONS, "object", 2)
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+    plan = (lens.sensor.plane_distances_mm[1:], (1.0,))
+    settings = {"patch_mm": 0.05, "kind": "amplitude", "exposures": (1.0,)}
+    found = plan_frames(lens, example="star", candidates=[plan], **settings)
+    assert found.example_twin is not None
+    assert found.twin.scale < 0.8
+    assert found.example_twin.scale == 1.0
+    assert found.strengths[EXAMPLE] == pytest.approx(found.example_strength)
+    assert "its twin (1 of the lens) images" in " ".join(found.assumptions)
+    assert plan_frames(lens, candidates=[plan], **settings).example_twin is None
 
 
 @pytest.mark.parametrize(

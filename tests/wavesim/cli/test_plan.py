@@ -52,6 +52,7 @@ def test_an_example_of_the_object_decides(wavesim: Command, tmp_path: Path) -> N
     (plan,) = found["plans"]
     assert found["described"]["name"] == "star"
     assert 0.0 < found["described"]["changes_of_amplitude"] < 1.0
+    assert found["described"]["twin"]["scale"] >= found["twin"]["scale"]
     assert 0.0 < plan["predicted_correlation"] < 1.0
     assert 0.0 < plan["oversampling"] < 8.0
     assert 0.0 < plan["information"]["fraction_determined"] < 1.0
