@@ -133,9 +133,9 @@ class Parameter:
         kind = self.kind
         if get_origin(kind) is list:
             inner = _plain_type(get_args(kind)[0])
-            if not isinstance(value, list):
-                raise ValueError(f"must be an array, each item {_TYPE_NAMES.get(inner, 'a text')}")
-            return [self._item(inner, item, folder) for item in value]
+            # An option that may be repeated may also be given once.
+            items = value if isinstance(value, list) else [value]
+            return [self._item(inner, item, folder) for item in items]
         if get_origin(kind) is tuple:
             kinds = get_args(kind)
             if not isinstance(value, list) or len(value) != len(kinds):

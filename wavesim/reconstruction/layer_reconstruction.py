@@ -116,6 +116,17 @@ class FoundLayers:
         Estimate of the memory.
     predicted_error : float
         Upper bound of the engine's relative L2 error on the nearest plane.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image, reconstruct_layers
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> patch = {"patch_mm": 0.03, "field_stop_mm": 0.024, "engine": "eikonal", "error": 0.1}
+    >>> taken = image(lens, ("star", "empty"), layers_um=(-20.0, 0.0), exposures=(1.0, 30.0, 1000.0), **patch)
+    >>> found = reconstruct_layers(lens, taken.frames, (-20.0, 0.0), kind="amplitude", iterations=2, **patch)
+    >>> len(found.transmissions), len(found.planes), found.oversampling.layers
+    (2, 2, 2)
     """
 
     settings: ReconstructionSettings

@@ -17,7 +17,8 @@ def test_a_table_a_chart_and_figures(wavesim: Command, tmp_path: Path) -> None:
     code, out, err = wavesim("plan", *usual, "--max-planes", 2, "-o", chart)
     assert code == 0, err
     assert "amplitude object; simulated on the lens itself, patch 0.02 mm" in out
-    assert "0.03125, 0.3438" in out
+    assert "0.03125," in out
+    assert "0.3438" in out  # on the next line of a narrow terminal
     assert chart.stat().st_size > 3_000
     assert out.count("*") == 2
     assert "few grains (dark grains on 3 %" in out
