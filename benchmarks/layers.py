@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
@@ -28,6 +29,8 @@ from lensdesign import Lens, load_design, scaled
 from lensdesign.analysis.oversampling import ObjectKind
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
+from wavesim.plots.frames import save
+from wavesim.plots.objects import layers_figure
 from wavesim.reconstruction.layer_reconstruction import FoundLayers, reconstruct_layers
 from wavesim.scene.settings import PatchSettings
 from wavesim.sensor.frames import Frame, FrameSettings
@@ -241,11 +244,24 @@ def _row(case: Case, found: FoundLayers, seconds: float) -> str:
     return f"| {' | '.join(map(str, values))} |"
 
 
+def draw(output: Path) -> None:
+    """Draw two sparse amplitude layers, found from two planes, next to the true ones."""
+    case = next(case for case in RATIO_CASES if case[:2] == ("amplitude", "sparse") and case.planes == 2)
+    found, layers = outcome(case)
+    true = [one.with_values(layer) for one, layer in zip(found.transmissions, layers, strict=True)]
+    save(layers_figure(case.layers_um, found.transmissions, found.inside, truth=true), output, dpi=100)
+
+
 def main() -> None:
-    """Print both tables."""
+    """Print both tables, or draw a picture."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="", help="words of cases, such as dense,phase,2 planes")
-    chosen = [word for word in parser.parse_args().only.split(",") if word]
+    parser.add_argument("-o", "--output", type=Path, help="draw two sparse amplitude layers, nothing else")
+    given = parser.parse_args()
+    if given.output is not None:
+        draw(given.output)
+        return
+    chosen = [word for word in given.only.split(",") if word]
     columns = ("kind", "sort", "layers (µm)", "planes", "used pixels", "ratio", "correlations", "over noise")
     print("| " + " | ".join((*columns, "iterations", "seconds")) + " |")
     print("| --- |" + " --- |" * (len(columns) + 1))

@@ -121,8 +121,9 @@ class ColourModel:
     ) -> tuple[ComplexArray, float]:
         """Return the change of the transmissions that reduces the misfit, and the misfit before it.
 
-        See :meth:`wavesim.forward.ForwardModel.step`. The change of each wavelength is the negative gradient
-        of half the squared misfit, divided by the peak power of its light and by its `passes`.
+        See :meth:`wavesim.forward.forward_model.ForwardModel.step`. The change of each wavelength is the
+        negative gradient of half the squared misfit, divided by the peak power of its light and by its
+        `passes`.
 
         Parameters
         ----------

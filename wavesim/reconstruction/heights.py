@@ -2,7 +2,7 @@
 
 A film of height h and index n in air delays the light by the phase k h, with k = 2 pi (n - 1) / wavelength.
 A phase is known up to multiples of 2 pi. Phases at two wavelengths determine the height within the range of
-the synthetic wavelength, wavelength_1 wavelength_2 / |wavelength_1 - wavelength_2|, over n - 1. The height is
+the synthetic wavelength, a b / (b - a) for the wavelengths a < b, over n - 1. The height is
 the one that fits the phases of all wavelengths best::
 
     minimize  sum over wavelengths of ((phase - k h) modulo 2 pi)^2 / s^2,
