@@ -133,8 +133,10 @@ class Parameter:
         kind = self.kind
         if get_origin(kind) is list:
             inner = _plain_type(get_args(kind)[0])
-            # An option that may be repeated may also be given once.
-            items = value if isinstance(value, list) else [value]
+            # A text that may be repeated, such as an object, may also be given once.
+            items = [value] if inner is str and isinstance(value, str) else value
+            if not isinstance(items, list):
+                raise ValueError(f"must be an array, each item {_TYPE_NAMES.get(inner, 'a text')}")
             return [self._item(inner, item, folder) for item in items]
         if get_origin(kind) is tuple:
             kinds = get_args(kind)
