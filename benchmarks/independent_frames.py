@@ -18,23 +18,23 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
-from wavesim.scene.settings import PatchSettings
 from wavesim.sensor.frames import Frame, FrameSettings
 from wavesim.sensor.windows import exit_scene, sensor_window
-from wavesim.targets.patch import Patch, lit
+from wavesim.targets.patch import Patch
 
 PADDING, SUBSAMPLES = 2, 2
 """Width of the padded window over that of the light, and samples per pixel along a side of the engine's grid.
 Each of these samples is split into another two along each side.
 """
 
-PEAK_FILL, OFFSET_COUNTS = 0.8, 64
+BITS, OFFSET_COUNTS = 12, 64
+FULL_WELL_ELECTRONS, READ_NOISE_ELECTRONS, PEAK_FILL = 10_000.0, 2.0, 0.8
 
 
 def independent_intensities(
     lens: Lens,
     patch: Patch,
-    transmission: Field,
+    behind: Field,
     planes_mm: Sequence[float],
     *,
     pose: Pose = Pose(),
@@ -48,8 +48,8 @@ def independent_intensities(
     ----------
     lens, patch
         The lens and the patch of its object.
-    transmission
-        Transmission of the object on the patch.
+    behind
+        Field behind the object, on the patch.
     planes_mm
         Distances of the planes from the exit vertex, increasing.
     pose
@@ -63,8 +63,6 @@ def independent_intensities(
     # As many pixels are added on both sides, so that the pixels of both windows coincide.
     wide = sensor.replaced(pixels=tuple(n + 2 * math.ceil(0.5 * (PADDING - 1) * n) for n in sensor.pixels))
     scene = exit_scene(lens, patch, wide, planes_mm[0], pose, SUBSAMPLES)
-    illumination = lit(patch, PatchSettings())
-    behind = illumination.with_values((illumination.values * transmission.values).astype(np.complex64))
     first = engine_for(scene, engine, error=error).forward(behind)
     pitch_mm = first.grid.pitch_mm
     spectrum = scipy.fft.fft2(first.values.astype(complex))
@@ -91,36 +89,33 @@ def independent_intensities(
 
 def independent_frames(
     lens: Lens,
-    patch: Patch,
+    wavelength_um: float,
     planes_mm: Sequence[float],
     intensities: Sequence[NDArray[np.floating]],
     *,
     exposures: Sequence[float] = (1.0,),
-    full_well_electrons: float = 10_000.0,
-    read_noise_electrons: float = 2.0,
-    bits: int = 12,
     seed: int = 0,
 ) -> list[Frame]:
     """Return frames with noise, each plane exposed for its brightest pixel, times each exposure."""
     random = np.random.default_rng(seed)
-    largest = 2**bits - 1
-    gain = full_well_electrons / (largest - OFFSET_COUNTS)
+    largest = 2**BITS - 1
+    gain = FULL_WELL_ELECTRONS / (largest - OFFSET_COUNTS)
     frames = []
     for plane_mm, intensity in zip(planes_mm, intensities, strict=True):
         for time in exposures:
-            exposure = time * PEAK_FILL * full_well_electrons / float(intensity.max())
+            exposure = time * PEAK_FILL * FULL_WELL_ELECTRONS / float(intensity.max())
             electrons = random.poisson(intensity * exposure).astype(float)
-            electrons += read_noise_electrons * random.standard_normal(intensity.shape)
+            electrons += READ_NOISE_ELECTRONS * random.standard_normal(intensity.shape)
             counts = np.clip(np.rint(electrons / gain + OFFSET_COUNTS), 0, largest).astype(np.uint16)
             settings = FrameSettings(
                 pixel_pitch_um=lens.sensor.pixel_pitch_um,
                 plane_distance_mm=plane_mm,
-                wavelength_um=patch.wavelength_um,
+                wavelength_um=wavelength_um,
                 exposure=exposure,
-                bits=bits,
+                bits=BITS,
                 offset_counts=OFFSET_COUNTS,
                 gain_electrons_per_count=gain,
-                read_noise_electrons=read_noise_electrons,
+                read_noise_electrons=READ_NOISE_ELECTRONS,
             )
             frames.append(Frame(counts, settings))
     return frames

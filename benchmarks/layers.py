@@ -24,29 +24,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.independent_frames import independent_frames, independent_intensities
 from benchmarks.timing import DESIGNS
 from lensdesign import Lens, load_design, scaled
 from lensdesign.analysis.oversampling import ObjectKind
-from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.plots.frames import save
 from wavesim.plots.objects import layers_figure
 from wavesim.reconstruction.layer_reconstruction import FoundLayers, reconstruct_layers
 from wavesim.scene.settings import PatchSettings
-from wavesim.sensor.frames import Frame, FrameSettings
+from wavesim.sensor.frames import Frame
 from wavesim.sensor.pixels.maps import PixelMaps
-from wavesim.sensor.windows import exit_scene, sensor_window
 from wavesim.targets.patch import Patch, lit, object_patch
 
 TWIN, PATCH_MM, STOP_MM = 64, 0.03, 0.024
 """Inverse scale of the paper's lens, side of the patch, and diameter of the field stop."""
 
-EXPOSURES, FULL_WELL, READ_NOISE, BITS, OFFSET = (1.0, 30.0, 1000.0), 10_000.0, 2.0, 12, 64
+EXPOSURES = (1.0, 30.0, 1000.0)
 PADDED = 512
 """Samples of the padded window between the layers."""
-
-SUBSAMPLES = 4
-"""Samples per pixel along each side, half of them from the engine."""
 
 BANDS_PER_UM = ((0.03, 0.06), (0.06, 0.12), (0.12, 0.25), (0.25, 0.5), (0.5, 0.94))
 """Bands of spatial frequency in which layers are compared."""
@@ -125,58 +121,14 @@ def field_behind(patch: Patch, layers_um: Sequence[float], layers: Sequence[NDAr
     return Field(patch.grid, field, patch.wavelength_um)
 
 
-def independent_frames(
+def recorded_frames(
     lens: Lens, patch: Patch, behind: Field, planes_mm: Sequence[float], seed: int
 ) -> list[Frame]:
     """Return frames of the field behind an object, with noise."""
-    rng, samples = np.random.default_rng(seed), SUBSAMPLES // 2
-    sensor = sensor_window(lens, patch, planes_mm)
-    across, down = sensor.pixels
-    top, left = down // 2, across // 2
-    # As many pixels are added on opposite sides, so that light does not wrap around and pixels coincide.
-    wide = sensor.replaced(pixels=(across + 2 * left, down + 2 * top))
-    scene = exit_scene(lens, patch, wide, planes_mm[0], oversampling=samples)
-    first = engine_for(scene, "eikonal", error=0.005).forward(behind)
-    spectrum = np.fft.fft2(first.values.astype(complex))
-    fy, fx = (np.fft.fftfreq(count, first.grid.pitch_mm) for count in spectrum.shape)
-    axial_squared = (1e3 / patch.wavelength_um) ** 2 - fy[:, None] ** 2 - fx**2
-    axial = np.sqrt(np.maximum(axial_squared, 0.0))
-    frames = []
-    for plane_mm in planes_mm:
-        factor = np.exp(2j * np.pi * axial * (plane_mm - planes_mm[0]))
-        on_plane = np.where(axial_squared > 0.0, spectrum * factor, 0.0)
-        light = np.zeros(spectrum.shape)
-        for y in (-0.25, 0.25):
-            for x in (-0.25, 0.25):
-                moved = np.exp(2j * np.pi * first.grid.pitch_mm * (fy[:, None] * y + fx * x))
-                light += 0.25 * np.abs(np.fft.ifft2(on_plane * moved)) ** 2
-        means = light.reshape(down + 2 * top, samples, across + 2 * left, samples).mean(axis=(1, 3))
-        frames += _exposed(means[top : top + down, left : left + across], lens, patch, plane_mm, rng)
-    return frames
-
-
-def _exposed(
-    intensity: NDArray, lens: Lens, patch: Patch, plane_mm: float, rng: np.random.Generator
-) -> list[Frame]:
-    largest = 2**BITS - 1
-    gain = FULL_WELL / (largest - OFFSET)
-    frames = []
-    for time in EXPOSURES:
-        exposure = 0.8 * time * FULL_WELL / float(intensity.max())
-        electrons = rng.poisson(intensity * exposure) + READ_NOISE * rng.standard_normal(intensity.shape)
-        counts = np.clip(np.rint(electrons / gain + OFFSET), 0, largest).astype(np.uint16)
-        settings = FrameSettings(
-            pixel_pitch_um=lens.sensor.pixel_pitch_um,
-            plane_distance_mm=plane_mm,
-            wavelength_um=patch.wavelength_um,
-            exposure=exposure,
-            bits=BITS,
-            offset_counts=OFFSET,
-            gain_electrons_per_count=gain,
-            read_noise_electrons=READ_NOISE,
-        )
-        frames.append(Frame(counts, settings))
-    return frames
+    intensities = independent_intensities(lens, patch, behind, planes_mm, error=0.005)
+    return independent_frames(
+        lens, patch.wavelength_um, planes_mm, intensities, exposures=EXPOSURES, seed=seed
+    )
 
 
 def outcome(case: Case, seed: int = 0) -> tuple[FoundLayers, list[NDArray]]:
@@ -188,7 +140,7 @@ def outcome(case: Case, seed: int = 0) -> tuple[FoundLayers, list[NDArray]]:
         true_layer(patch, case.kind, case.sort, 10 * seed + index)
         for index in range(1, len(case.layers_um) + 1)
     ]
-    frames = independent_frames(lens, patch, field_behind(patch, case.layers_um, layers), planes_mm, seed)
+    frames = recorded_frames(lens, patch, field_behind(patch, case.layers_um, layers), planes_mm, seed)
     if case.used_pixels < 1.0:
         rng = np.random.default_rng(seed)
         shape = frames[0].counts.shape

@@ -38,8 +38,8 @@ from wavesim.fields.field import Field
 from wavesim.reconstruction import assessment
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-from wavesim.scene.settings import Kind
-from wavesim.targets.patch import Patch, make_target, object_patch
+from wavesim.scene.settings import Kind, PatchSettings
+from wavesim.targets.patch import Patch, lit, make_target, object_patch
 
 ALLOWED = 0.02
 """Difference of correlations up to which a prediction holds."""
@@ -200,8 +200,10 @@ def reached(case: Case) -> dict[str, Any]:
         shifts = [(0.0, 0.0)] * (case.planes - 1) + [SHIFT_UM]
         bench = {"pose": POSE, "shifts_um": shifts if case.planes > 1 else ()}
     error = 0.003 if case.engine == "eikonal" else None
-    light = independent_intensities(lens, patch, true, planes, engine=case.engine, error=error, **bench)
-    frames = independent_frames(lens, patch, planes, light, exposures=case.exposures, seed=SEED)
+    illumination = lit(patch, PatchSettings())
+    behind = illumination.with_values((illumination.values * true.values).astype(np.complex64))
+    light = independent_intensities(lens, patch, behind, planes, engine=case.engine, error=error, **bench)
+    frames = independent_frames(lens, patch.wavelength_um, planes, light, exposures=case.exposures, seed=SEED)
     settings: dict[str, Any] = {"kind": case.kind, "patch_mm": case.patch_mm, "field_stop_mm": case.stop_mm}
     state = calibrate_frames(lens, frames, assess=False, **settings).state if case.off else None
     found = reconstruct_frames(lens, frames, truth=true, calibration=state, **settings)

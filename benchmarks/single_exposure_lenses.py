@@ -22,10 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.independent_frames import independent_frames
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design, scaled
 from lensdesign.analysis.oversampling import ObjectKind, oversampling_of
-from wavesim import Frame, FrameSettings, calibrate_frames, image, reconstruct_frames
+from wavesim import Frame, calibrate_frames, image, reconstruct_frames
 from wavesim.fields.field import Field
 from wavesim.metrics import object_correlation
 from wavesim.reconstruction.found_object import FoundObject
@@ -36,7 +37,6 @@ from wavesim.targets.patterns import band_limit
 MOUNTING = {"decenter_x_mm": 0.003, "decenter_y_mm": -0.002, "tilt_x_deg": 0.03, "despace_mm": 0.002}
 """Errors of the mounted lens."""
 
-BITS, OFFSET, FULL_WELL, READ_NOISE, PEAK_FILL = 12, 64.0, 10_000.0, 2.0, 0.8
 SUBPIXELS = 3
 """Points of the frame's own model along each side of a pixel."""
 
@@ -139,23 +139,11 @@ def recorded_frame(lens: Lens, transmission: Field, light: dict[str, Any], seed:
     ).frames[0]
     rows, columns = (count // SUBPIXELS for count in taken.counts.shape)
     bright = (taken.counts - taken.settings.offset_counts).reshape(rows, SUBPIXELS, columns, SUBPIXELS)
-    electrons = bright.mean(axis=(1, 3))
-    electrons *= PEAK_FILL * FULL_WELL / electrons.max()
-    rng = np.random.default_rng(seed)
-    noisy = rng.poisson(np.maximum(electrons, 0.0)) + READ_NOISE * rng.standard_normal(electrons.shape)
-    gain = FULL_WELL / (2**BITS - 1 - OFFSET)
-    counts = np.clip(np.rint(noisy / gain + OFFSET), 0, 2**BITS - 1).astype(np.uint16)
-    settings = FrameSettings(
-        pixel_pitch_um=sensor.pixel_pitch_um,
-        plane_distance_mm=sensor.plane_distances_mm[0],
-        wavelength_um=transmission.wavelength_um,
-        exposure=PEAK_FILL * FULL_WELL,
-        bits=BITS,
-        offset_counts=OFFSET,
-        gain_electrons_per_count=gain,
-        read_noise_electrons=READ_NOISE,
-    )
-    return Frame(counts, settings)
+    intensity = bright.mean(axis=(1, 3))
+    planes_mm = sensor.plane_distances_mm[:1]
+    brightest_is_1 = intensity / intensity.max()
+    (frame,) = independent_frames(lens, transmission.wavelength_um, planes_mm, [brightest_is_1], seed=seed)
+    return frame
 
 
 def measured(case: Case, scale: float = 1.0, seed: int = 5) -> list[Row]:

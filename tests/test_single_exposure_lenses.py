@@ -33,7 +33,7 @@ def test_frames_of_the_benchmark_differ_from_those_of_the_package_by_their_noise
     electrons = (frame.counts - frame.settings.offset_counts) * gain
     model = taken.counts - taken.settings.offset_counts
     model = model * electrons.sum() / model.sum()
-    deviation = np.sqrt(np.maximum(model, 0.0) + single.READ_NOISE**2 + gain**2 / 12.0)
+    deviation = np.sqrt(np.maximum(model, 0.0) + frame.settings.read_noise_electrons**2 + gain**2 / 12.0)
     bright = model > 20.0
     normalized = (electrons - model)[bright] / deviation[bright]
     assert bright.sum() > 1000

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.layers import Case, bench, field_behind, independent_frames, outcome, true_layer
+from benchmarks.layers import Case, bench, field_behind, outcome, recorded_frames, true_layer
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.reconstruction.layer_reconstruction import (
@@ -31,7 +31,7 @@ def frames_of_one_plane() -> tuple[Frame, ...]:
     lens, patch = bench(CASE.stop_mm)
     layers = [true_layer(patch, "amplitude", "sparse", seed) for seed in (1, 2)]
     behind = field_behind(patch, CASE.layers_um, layers)
-    return tuple(independent_frames(lens, patch, behind, [0.2], 0))
+    return tuple(recorded_frames(lens, patch, behind, [0.2], 0))
 
 
 def settings(**changes: object) -> ReconstructionSettings:
