@@ -135,7 +135,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     print()
     print_table((), ("plane (mm)", "wavelengths (um)", "pixels", "residual", "noise alone"), rows)
     print()
-    print(f"{summary['measurements_per_unknown']:.3g} real measurements for each real unknown")
+    print(f"{summary['oversampling_ratio']:.3g} measurements for each unknown")
     for wavelength, truth in zip(summary["wavelengths_um"], summary["truth"], strict=bool(summary["truth"])):
         correlation = truth["object_correlation"]
         shown = "none" if correlation is None else f"{correlation:.4f}"

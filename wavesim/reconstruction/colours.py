@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from lensdesign.analysis.oversampling import ObjectKind, Oversampling, oversampling_of
+from lensdesign.analysis.oversampling import ObjectKind, Oversampling, oversampling_of, real_unknowns
 from lensdesign.common.arrays import Array
 from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError
@@ -65,7 +65,7 @@ from wavesim.sensor.measurement import (
     Measurement,
     intensity_deviation,
     noise_misfit,
-    recorded_intensity,
+    with_intensity,
 )
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import check_footprint, exit_scene, imaging_engine
@@ -79,7 +79,7 @@ LEAST_DIFFERENCE = 1e-4
 
 
 class ColourPlane(NamedTuple):
-    """What is known of a plane: its frames' settings, and how its pixels respond.
+    """A recording plane: the settings of its frames, and the kind of its pixels.
 
     Attributes
     ----------
@@ -170,12 +170,12 @@ class FoundColours:
 
     @property
     def explained(self) -> bool:
-        """Whether noise explains the residuals of each plane, by the limit of a single wavelength."""
+        """True if noise explains the residuals of each plane, by the limit of a single wavelength."""
         return max(fit.over_noise or 0.0 for fit in self.fits) <= LIMIT
 
     @property
     def predicts_held_out(self) -> bool:
-        """Whether the residuals on pixels that were held out are within the limit of a single wavelength.
+        """True if the residuals on held-out pixels are within the limit of a single wavelength.
 
         Where they are not, the object may be wrong, although noise explains the residuals on fitted pixels.
         """
@@ -275,7 +275,7 @@ class FoundColours:
             "explained": self.explained,
             "predicts_held_out": self.predicts_held_out,
             "scale": self.scale,
-            "measurements_per_unknown": self.oversampling.ratio,
+            "oversampling_ratio": self.oversampling.ratio,
             "planes": [
                 {
                     "plane_distance_mm": plane.distance_mm,
@@ -783,10 +783,7 @@ def _noisy(plane: Measurement, amplitude: NDArray[Any], random: np.random.Genera
     known = np.isfinite(deviation)
     noise = np.where(known, deviation, 0.0) * random.standard_normal(deviation.shape)
     variance = np.where(known, np.maximum(deviation, 1e-30) ** 2, np.inf)
-    noisy = recorded_intensity(plane.distance_mm, amplitude.astype(float) ** 2 + noise, variance)
-    assert noisy.sigma is not None
-    dtype = plane.amplitude.dtype
-    return replace(plane, amplitude=noisy.amplitude.astype(dtype), sigma=noisy.sigma.astype(dtype))
+    return with_intensity(plane, amplitude.astype(float) ** 2 + noise, variance)
 
 
 def _oversampling(lens: Lens, case: _Problem, settings: ColourSettings) -> Oversampling:
@@ -805,13 +802,15 @@ def _oversampling(lens: Lens, case: _Problem, settings: ColourSettings) -> Overs
         for plane in case.planes
     ]
     # Amplitude and thickness of a film are the unknowns of one complex object.
-    own = min(case.wavelengths_um), *case.wavelengths_um[1:]
-    objects = own[:1] if settings.kind == "thickness" else own
-    whole = oversampling_of(lens, kind, support_mm=support, wavelengths_um=objects)
-    return replace(
-        whole,
+    own = case.wavelengths_um[:1] if settings.kind == "thickness" else case.wavelengths_um
+    return Oversampling(
+        kind,
+        support,
+        own,
+        layers=1,
         plane_distances_mm=tuple(plane.distance_mm for plane in case.planes),
         measurements_of_planes=tuple(one.measurements for one in of_planes),
+        unknowns=real_unknowns(kind, support, lens.object.numerical_aperture, own),
     )
 
 

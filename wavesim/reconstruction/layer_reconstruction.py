@@ -4,7 +4,7 @@ Two bounds decide whether layers are determined:
 
 - The oversampling ratio, measurements for each real unknown, must reach `LEAST_RATIO`. More planes raise it.
 - Light of one direction leaves the last layer as one field, with two real numbers for each degree of freedom.
-  Layers with more unknowns than these cannot be told apart by any number of planes: three layers of
+  Layers with more unknowns than these cannot be separated by any number of planes: three layers of
   amplitude, or two complex ones.
 
 Below a bound, only assumptions on the layers, such as few sharp edges, can select one of many solutions.

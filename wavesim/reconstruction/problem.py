@@ -48,6 +48,7 @@ from wavesim.sensor.frame_sets import (
     frames_by_plane,
     planes_of_frames,
     recorded_planes,
+    validate_one_wavelength,
     validate_same_pitch,
 )
 from wavesim.sensor.frames import Frame
@@ -481,12 +482,7 @@ def patch_of_frames(
     """
     if not frames:
         raise InputError("frames: needs at least one frame")
-    for frame in frames:
-        if frame.settings.colours is not None:
-            several = ", ".join(f"{one:g}" for one in frame.settings.wavelengths_um)
-            raise InputError(
-                f"frames: {several} um were recorded at once: must be one wavelength; use `wavesim colours`"
-            )
+    validate_one_wavelength(frames)
     validate_same_pitch(frames, lens)
     by_plane = frames_by_plane(frames)
     patch, light = lit_patch(lens, settings, frames[0].settings.wavelength_um)

@@ -145,7 +145,7 @@ class ColourFilters(FrozenModel):
 
     @property
     def is_monochrome(self) -> bool:
-        """Whether all pixels have the same responses."""
+        """True if all pixels have the same responses."""
         return len(set(self.responses.values())) == 1
 
     def on_pixels(self, shape: tuple[int, int]) -> list[NDArray[np.float64]]:

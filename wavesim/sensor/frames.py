@@ -115,7 +115,7 @@ class FrameSettings(FrozenModel):
 
     @property
     def wavelengths_um(self) -> tuple[float, ...]:
-        """All wavelengths that the frame has recorded, in um."""
+        """Wavelengths that the frame has recorded, in um."""
         return (self.wavelength_um,) if self.colours is None else self.colours.wavelengths_um
 
     def key_text(self) -> str:

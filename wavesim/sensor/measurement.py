@@ -163,6 +163,22 @@ def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) ->
     return Measurement(distance_mm, np.sqrt(np.maximum(intensity, 0.0)), sigma)
 
 
+def with_intensity(plane: Measurement, intensity: Array, variance: Array) -> Measurement:
+    """Return a measurement with another intensity and variance, in the precision of its amplitude.
+
+    Parameters
+    ----------
+    plane
+        The measurement, of which the rest is kept.
+    intensity, variance
+        See :func:`recorded_intensity`.
+    """
+    other = recorded_intensity(plane.distance_mm, intensity, variance)
+    assert other.sigma is not None
+    dtype = plane.amplitude.dtype
+    return replace(plane, amplitude=other.amplitude.astype(dtype), sigma=other.sigma.astype(dtype))
+
+
 def intensity_deviation(plane: Measurement) -> Array:
     """Return the standard deviation of the intensity of each pixel, from amplitude and its deviation.
 

@@ -76,17 +76,21 @@ def plane_wave(
     length = math.hypot(1.0, *slopes)
     cycles_x, cycles_y = (1e3 * index / wavelength_um * slope / length for slope in slopes)
     steepest = max(abs(cycles_x), abs(cycles_y))
-    if steepest * grid.pitch_mm >= 0.5:
-        raise SamplingError(
-            f"tilt_x_deg = {tilt_x_deg:g}, tilt_y_deg = {tilt_y_deg:g}: the wave has {steepest:.4g} "
-            f"cycles/mm, too many for a pitch of {1e3 * grid.pitch_mm:.4g} µm; use a pitch below "
-            f"{500.0 / steepest:.4g} µm"
-        )
+    _check_pitch(grid, steepest, f"tilt_x_deg = {tilt_x_deg:g}, tilt_y_deg = {tilt_y_deg:g}: the wave has")
     down = np.exp(2j * math.pi * cycles_y * (grid.y_mm - grid.centre_mm[1]))
     if grid.is_line:
         return Field(grid, down, wavelength_um, index)
     across = np.exp(2j * math.pi * cycles_x * (grid.x_mm - grid.centre_mm[0]))
     return Field(grid, np.outer(down, across), wavelength_um, index)
+
+
+def _check_pitch(grid: Grid, cycles_per_mm: float, light: str, at: str = "", remedy: str = "") -> None:
+    """Raise a SamplingError if a grid does not sample the highest frequency of light."""
+    if cycles_per_mm * grid.pitch_mm >= 0.5:
+        raise SamplingError(
+            f"{light} {cycles_per_mm:.4g} cycles/mm{at}, too many for a pitch of "
+            f"{1e3 * grid.pitch_mm:.4g} µm; use a pitch below {500.0 / cycles_per_mm:.4g} µm{remedy}"
+        )
 
 
 def gaussian_beam(
@@ -190,12 +194,8 @@ def point_source(grid: Grid, wavelength_um: float, distance_mm: float, *, index:
         raise InputError(f"distance_mm = {distance_mm!r}: must be finite, and not 0")
     widest = max(grid.half_widths_mm)
     steepest = 1e3 * index / wavelength_um * widest / math.hypot(widest, distance_mm)
-    if steepest * grid.pitch_mm >= 0.5:
-        raise SamplingError(
-            f"distance_mm = {distance_mm:g}: the light of the point source has {steepest:.4g} cycles/mm at "
-            f"the border, too many for a pitch of {1e3 * grid.pitch_mm:.4g} µm; use a pitch below "
-            f"{500.0 / steepest:.4g} µm, or a greater distance"
-        )
+    light = f"distance_mm = {distance_mm:g}: the light of the point source has"
+    _check_pitch(grid, steepest, light, " at the border", ", or a greater distance")
     y, x = grid.y_mm - grid.centre_mm[1], grid.x_mm - grid.centre_mm[0]
     squared = y**2 if grid.is_line else y[:, None] ** 2 + x[None, :] ** 2
     from_source_mm = np.sqrt(squared + distance_mm**2)
@@ -262,12 +262,7 @@ def speckle(grid: Grid, wavelength_um: float, numerical_aperture: float, seed: i
     if not 0.0 < numerical_aperture < 1.0:
         raise InputError(f"numerical_aperture = {numerical_aperture!r}: must lie between 0 and 1")
     steepest = 1e3 * numerical_aperture / wavelength_um
-    if steepest * grid.pitch_mm >= 0.5:
-        raise SamplingError(
-            f"numerical_aperture = {numerical_aperture:g}: its waves have up to {steepest:.4g} cycles/mm, "
-            f"too many for a pitch of {1e3 * grid.pitch_mm:.4g} µm; use a pitch below "
-            f"{500.0 / steepest:.4g} µm"
-        )
+    _check_pitch(grid, steepest, f"numerical_aperture = {numerical_aperture:g}: its waves have up to")
     if steepest * max(grid.shape) * grid.pitch_mm < 0.5:
         raise InputError(
             f"numerical_aperture = {numerical_aperture:g}: its speckle grains are larger than the grid"

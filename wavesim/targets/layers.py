@@ -4,7 +4,7 @@ The field on a layer is multiplied by its transmission, and propagates to the ne
 spectrum of plane waves (multi-slice model). The field behind the last layer is propagated to the object
 plane, forwards or backwards, because engines start there. Light that a layer reflects is neglected.
 
-The field stop limits the light on every layer, so that no layer is lit beside it. Light that spreads beyond
+The field stop limits the light on every layer, so that no layer is lit outside it. Light that spreads beyond
 the grid on its way is lost.
 """
 
@@ -61,7 +61,7 @@ class LayerStack:
     distances_um : tuple of float
         Distances of the layers from the object plane along the light, ascending; negative in front of it.
     stop : ndarray, shape (ny, nx)
-        Fraction of each sample that the field stop leaves open. It limits the light on the layers behind the
+        Fraction of each sample that the field stop transmits. It limits the light on the layers behind the
         first one.
 
     Raises

@@ -183,7 +183,7 @@ def test_wrong_frames_and_settings_are_named() -> None:
     ):
         with pytest.raises(InputError, match=message):
             reconstruct_colours(LENS, given, **FOUND, **changes)
-    with pytest.raises(InputError, match=r"0\.532, 0\.635 um were recorded at once"):
+    with pytest.raises(InputError, match=r"0\.532, 0\.635 µm were recorded at once"):
         reconstruct_frames(LENS, frames, **FOUND)
     truth = [replace(one, wavelength_um=0.5) for one in objects()]
     with pytest.raises(InputError, match=r"needs the object at 0\.532 um"):

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -35,7 +35,7 @@ from wavesim.forward.forward_model import ForwardModel, RealArray
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
-from wavesim.sensor.measurement import Measurement, intensity_deviation, recorded_intensity
+from wavesim.sensor.measurement import Measurement, intensity_deviation, with_intensity
 
 LARGEST_NOISE_RATIO = 1.5
 """Misfit over that of noise alone above which the frames are not explained."""
@@ -276,7 +276,4 @@ def _noisy(
     intensity = amplitude.astype(float) ** 2
     intensity += np.sqrt(np.interp(intensity, *levels)) * random.standard_normal(intensity.shape)
     variance = np.where(np.isfinite(plane.sigma), np.interp(intensity, *levels), np.inf)
-    noisy = recorded_intensity(plane.distance_mm, intensity, variance)
-    assert noisy.sigma is not None
-    dtype = plane.amplitude.dtype
-    return replace(plane, amplitude=noisy.amplitude.astype(dtype), sigma=noisy.sigma.astype(dtype))
+    return with_intensity(plane, intensity, variance)
