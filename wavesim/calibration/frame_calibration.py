@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,7 @@ def calibrate_frames(
     folder: Path | None = None,
     progress: Progress | None = None,
     assess: bool = True,
+    on_found: Callable[[Calibrated], None] | None = None,
     **changes: Any,
 ) -> Calibrated:
     """Calibrate a bench from its frames: light, lens, mounting and camera.
@@ -119,6 +120,9 @@ def calibrate_frames(
     assess
         Whether to reconstruct the object on the calibrated bench, by :func:`wavesim.reconstruct_frames` with
         the same settings, and to state the verdict. With a known object the verdict needs no reconstruction.
+    on_found
+        Callback `on_found(found)` with the bench, called when the search ends and before the reconstruction
+        for the verdict.
     **changes
         Settings by name, which replace those of `settings`.
 
@@ -167,7 +171,11 @@ def calibrate_frames(
         found, settings = _calibrated_with_source(lens, frames, requested, empty, priors, folder, progress)
     else:
         found, settings = _calibrated(lens, frames, requested, empty, priors, folder, progress)
-    return _with_verdict(lens, frames, settings, found, progress) if assess else found
+    if not assess:
+        return found
+    if on_found is not None:
+        on_found(found)
+    return _with_verdict(lens, frames, settings, found, progress)
 
 
 def _calibrated(

@@ -66,44 +66,69 @@ def calibrate(
     need keep their nominal values. The output folder has them in calibration.json, which a reconstruction
     reads (`wavesim reconstruct --calibration FILE`).
     The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
-    within their noise, and 1 if they are not. After an interrupt, repeat the command to continue.
+    within their noise, and 1 if they are not, or if an interrupt has ended the run before the verdict. After
+    an interrupt, repeat the command to continue.
 
     Example: wavesim calibrate frames/*.tif --design lens.toml -o bench
     """
     from wavesim.calibration.frame_calibration import calibrate_frames
     from wavesim.cli.result_files import remove_unfinished
+    from wavesim.metrics.next_steps import ADVICE
     from wavesim.runtime.checkpoint import SEARCH_CHECKPOINTS
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
+    searched: list[Calibrated] = []
+    extra: dict[str, Any] = {"object": "known" if known else settings.kind}
+    if empty:
+        extra["empty"] = [str(path) for path in empty]
     with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
         pictures = read_frames(frames, of_frames, lens=lens)
-        found = calibrate_frames(
-            lens,
-            pictures,
-            settings,
-            known=known,
-            empty=read_empty(empty, of_frames, lens),
-            priors=read_priors(priors, lens),
-            folder=output,
-            progress=on_progress,
-        )
-    for name in SEARCH_CHECKPOINTS:
-        with suppress(OSError):  # A left-over checkpoint does no harm.
-            (output / name).unlink(missing_ok=True)
-    messages = list(dict.fromkeys(str(warning.message) for warning in caught))
+
+        def write(found: Calibrated) -> None:
+            """Write a bench that is not judged yet."""
+            with warnings.catch_warnings():  # those of plots are no warnings about the result
+                warnings.simplefilter("ignore")
+                write_calibration(found, frames, pictures, extra | {"warnings": _messages(caught)}, output)
+            searched.append(found)
+
+        try:
+            found = calibrate_frames(
+                lens,
+                pictures,
+                settings,
+                known=known,
+                empty=read_empty(empty, of_frames, lens),
+                priors=read_priors(priors, lens),
+                folder=output,
+                progress=on_progress,
+                on_found=write,
+            )
+        except KeyboardInterrupt:
+            if not searched:
+                raise
+            found = searched[0]
+    is_judged = found.verdict is not None or not searched
+    messages = _messages(caught)
     print_warnings(messages)
-    extra: dict[str, Any] = {"object": "known" if known else settings.kind, "warnings": messages}
-    if empty:
-        extra["empty"] = [str(path) for path in empty]
-    summary = write_calibration(found, frames, pictures, extra, output)
+    summary = write_calibration(found, frames, pictures, extra | {"warnings": messages}, output)
+    if is_judged:
+        for name in SEARCH_CHECKPOINTS:
+            with suppress(OSError):  # A left-over checkpoint does no harm.
+                (output / name).unlink(missing_ok=True)
     if as_json:
         print_json(summary)
     else:
         print_calibration(found, summary, output)
-    raise typer.Exit(1 if found.explained is False else 0)
+        if not is_judged:
+            print(f"verdict: not judged: interrupted after the search; {ADVICE['not judged']}")
+    raise typer.Exit(0 if is_judged and found.explained is not False else 1)
+
+
+def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
+    return list(dict.fromkeys(str(warning.message) for warning in caught))
 
 
 def write_calibration(

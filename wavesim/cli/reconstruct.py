@@ -38,6 +38,8 @@ from wavesim.scene.system_state import SystemState
 SHOWN_DISPLACEMENT = 0.2
 """Smallest displacement that is printed (samples). JSON also contains smaller ones."""
 
+SUMMARY = "reconstruction.json"
+
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibration_result import Calibrated
@@ -96,7 +98,8 @@ def reconstruct(
 
     The exit status is 0 if the frames are explained within their noise, and 1 if they are not. In the second
     case the most likely causes are tested and named. After an interrupt, repeat the command to continue from
-    the last checkpoint.
+    the last checkpoint. An interrupt during these tests keeps the object, which is then not judged: the exit
+    status is 1.
 
     Example: wavesim reconstruct frames/*.tif --design lens.toml -o object
     """
@@ -167,38 +170,60 @@ def reconstruct(
             state = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
                 settings = settings.replaced(**dict.fromkeys(PoseSettings.model_fields, 0.0))
-        with progress() as on_progress:
-            found = reconstruct_frames(
-                lens,
-                # Given away: nothing here may hold them to the end.
-                pictures.pop(),
-                settings,
-                truth=truth,
-                calibration=state,
-                folder=output,
-                progress=on_progress,
-                on_estimate=on_estimate,
-            )
-        if stop_doubt:
-            found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
-        summary = {"design": lens.title or design.stem} | found.as_dict()
-        summary["field_stop_from"] = stop_from or summary["field_stop_from"]
-    summary |= {
-        "warnings": _messages(caught),
-        "engine": engine_summary(found.engine, found.predicted_error),
-        "memory": found.memory.as_dict(),
-        "versions": versions(),
-    }
-    summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    searches = (output / subfolder / name for name in SEARCH_CHECKPOINTS)
-    for path in (output / CHECKPOINT, *searches):
-        with suppress(OSError):  # the results are written
-            path.unlink(missing_ok=True)
+        summaries = list[dict[str, Any]]()
+
+        def write(found: FoundObject) -> None:
+            """Write an object that is not judged yet."""
+            summary = summarize(found)
+            with warnings.catch_warnings():  # those of plots are no warnings about the result
+                warnings.simplefilter("ignore")
+                summary["files"] = [str(output / name) for name in _write(found, summary, output)]
+            summaries.append(summary)
+
+        def summarize(found: FoundObject) -> dict[str, Any]:
+            if stop_doubt:
+                doubt = Finding(STOP_CAUSE, stop_doubt)
+                found = replace(found, verdict=with_finding(found.verdict, doubt))
+            summary = {"design": lens.title or design.stem} | found.as_dict()
+            summary["field_stop_from"] = stop_from or summary["field_stop_from"]
+            return summary | {
+                "warnings": _messages(caught),
+                "engine": engine_summary(found.engine, found.predicted_error),
+                "memory": found.memory.as_dict(),
+                "versions": versions(),
+            }
+
+        try:
+            with progress() as on_progress:
+                found = reconstruct_frames(
+                    lens,
+                    # Given away: nothing here may hold them to the end.
+                    pictures.pop(),
+                    settings,
+                    truth=truth,
+                    calibration=state,
+                    folder=output,
+                    progress=on_progress,
+                    on_estimate=on_estimate,
+                    on_found=write,
+                )
+        except KeyboardInterrupt:
+            if not summaries:
+                raise
+            summary = summaries[0]
+        else:
+            summary = summaries[0] | summarize(found)
+            _write_summary(summary, output)
+    if summary["verdict"]["judged"]:
+        searches = (output / subfolder / name for name in SEARCH_CHECKPOINTS)
+        for path in (output / CHECKPOINT, *searches):
+            with suppress(OSError):  # the results are written
+                path.unlink(missing_ok=True)
     if as_json:
         print_json(summary)
     else:
         _print(summary, output)
-    raise typer.Exit(0 if found.verdict.explained else 1)
+    raise typer.Exit(0 if summary["verdict"]["explained"] else 1)
 
 
 def _calibrated(
@@ -311,9 +336,18 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
             write_csv(rows, folder / "svfg.csv")
         save(curves_figure(curves, title), folder / "curves.png")
         packed.result()
-        names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
-        write_json(summary | {"files": names}, folder / "reconstruction.json")
+        names = sorted([*(path.name for path in folder.iterdir()), SUMMARY])
+        write_json(summary | {"files": names}, folder / SUMMARY)
     return names
+
+
+def _write_summary(summary: dict[str, Any], output: Path) -> None:
+    """Write the summary again, with the verdict."""
+    from wavesim.cli.result_files import new_results, write_json
+
+    names = [Path(path).name for path in summary["files"]]
+    with new_results(output) as folder:
+        write_json(summary | {"files": names}, folder / SUMMARY)
 
 
 def _pack(transmission: Field, folder: Path) -> None:

@@ -161,6 +161,8 @@ class GoodnessOfFit:
         Displacements that the frames cannot exclude; empty if they were not computed.
     model_error : float
         Relative error of amplitudes that was allowed for engine and pixel model.
+    judged : bool
+        False if only the residuals are known, because the run ended before the tests of the result.
     """
 
     explained: bool
@@ -177,12 +179,15 @@ class GoodnessOfFit:
     noise: NoiseCheck | None = None
     undetected: tuple[Undetected, ...] = ()
     model_error: float = MODEL_ERROR
+    judged: bool = True
 
     @property
     def words(self) -> str:
         """Verdict in a few sentences."""
         held = f"{self.held_out_over_noise:.3g} times on pixels that were held out"
         size = f"residuals {self.over_noise:.3g} times the noise, {held}"
+        if not self.judged:
+            return f"not judged: {self.evidence}; {size}. Next: {self.next_step}"
         if self.explained:
             return f"explained within the noise: {size}{self._contributions}{self._not_excluded}"
         if self.within:
@@ -241,13 +246,34 @@ class GoodnessOfFit:
 def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
     """Return the verdict with one more reason not to trust the result.
 
-    Where residuals exceed the noise, the cause that explains them remains.
+    Where residuals exceed the noise, the cause that explains them remains. What was not judged stays so.
     """
     doubted = replace(judged, explained=False, findings=(*judged.findings, finding))
     if not judged.explained:
         return doubted
     return replace(
         doubted, cause=finding.cause, evidence=finding.explanation, next_step=next_step(finding.cause)
+    )
+
+
+def not_judged(residuals_judged: GoodnessOfFit) -> GoodnessOfFit:
+    """Return the verdict of a run that ended before the tests of its result: sizes of residuals alone.
+
+    Parameters
+    ----------
+    residuals_judged
+        Verdict by the residuals, without tests.
+    """
+    cause = "not judged"
+    evidence = "the run ended after the search and before the tests of the result"
+    return replace(
+        residuals_judged,
+        explained=False,
+        judged=False,
+        cause=cause,
+        evidence=evidence,
+        next_step=next_step(cause),
+        findings=(),
     )
 
 

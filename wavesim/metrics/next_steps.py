@@ -24,6 +24,7 @@ ADVICE = {
     "several objects": "record more planes, farther from each other, or state more of the object (--kind)",
     "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the "
     "object, tilted light and a shifted plane give the same frames",
+    "not judged": "run the same command again to judge the result",
     "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted",
 }
 

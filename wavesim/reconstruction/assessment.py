@@ -22,6 +22,7 @@ from wavesim.metrics.goodness_of_fit import (
     GoodnessOfFit,
     Trial,
     Undetected,
+    not_judged,
     plane_verdicts,
     verdict,
 )
@@ -88,6 +89,11 @@ class MethodResult(NamedTuple):
     whole: Field | None = None
     engine_errors: tuple[Array, ...] = ()
     model_error: float = MODEL_ERROR
+
+
+def unjudged_result(case: ReconstructionProblem, found: MethodResult) -> GoodnessOfFit:
+    """Return the sizes of the residuals, before the result is judged."""
+    return not_judged(verdict(plane_residuals(case, found.residual_maps, ()), rounding=case.rounding))
 
 
 def judge_result(

@@ -16,7 +16,7 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.eikonal.on_cluster import tiles_in
 from wavesim.fields.field import Field, Grid
-from wavesim.metrics.goodness_of_fit import MODEL_ERROR
+from wavesim.metrics.goodness_of_fit import MODEL_ERROR, GoodnessOfFit
 from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction.assessment import (
     EngineOn,
@@ -32,6 +32,7 @@ from wavesim.reconstruction.assessment import (
     more_accurate_case,
     starts_needed,
     stop_search,
+    unjudged_result,
 )
 from wavesim.reconstruction.coarse_start import (
     INNER_ITERATIONS,
@@ -69,6 +70,9 @@ from wavesim.targets.region import cut_field, soft_rim
 ClusterHandover = Callable[[Engine], Engine]
 """Hands the tiles of an engine to a cluster, if there is one, and returns the engine."""
 
+OnSearchEnd = Callable[[ReconstructionProblem, MethodResult], None]
+"""Called with the object when the search ends, before the tests of its verdict."""
+
 
 def reconstruct_frames(
     lens: Lens,
@@ -80,6 +84,7 @@ def reconstruct_frames(
     folder: Path | None = None,
     progress: Progress | None = None,
     on_estimate: Callable[[Memory], None] | None = None,
+    on_found: Callable[[FoundObject], None] | None = None,
     **changes: Any,
 ) -> FoundObject:
     """Reconstruct the object that was recorded in frames, and assess the result.
@@ -107,6 +112,9 @@ def reconstruct_frames(
         Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
     on_estimate
         Callback `on_estimate(memory)` with the estimate of the memory, called after all checks.
+    on_found
+        Callback `on_found(found)` with the object, called when the search ends. The verdict, which may take
+        longer than the search, is not known yet (`found.verdict.judged` is False).
     **changes
         Settings by name, which replace those of `settings`.
 
@@ -151,11 +159,22 @@ def reconstruct_frames(
     del frames  # they are large, and the problem does not need them any more
     if on_estimate is not None:
         on_estimate(case.memory)
+    ended = list[FoundObject]()
+
+    def on_search_end(problem: ReconstructionProblem, result: MethodResult) -> None:
+        ended.append(_found_object(problem, settings, result, reporter))
+        if on_found is not None:
+            on_found(ended[0])
+
     try:
         with tiles_in(settings.cluster) as hand_over:
-            return _run(case, settings, hand_over, reporter)
+            judged = _run(case, settings, hand_over, reporter, on_search_end)
+        return replace(ended.pop(), verdict=judged)
     except KeyboardInterrupt:
-        hint = _resume_hint(case) or "nothing was written"
+        hint = _resume_hint(case)
+        if ended:
+            raise KeyboardInterrupt(f"interrupted before the verdict{hint and '; '}{hint}") from None
+        hint = hint or "nothing was written"
         count = f"{reporter.iterations} of {settings.most_iterations}"
         raise KeyboardInterrupt(f"interrupted after {count} iterations; {hint}") from None
     except ClusterError as error:
@@ -249,7 +268,10 @@ def _run(
     settings: ReconstructionSettings,
     hand_over: ClusterHandover,
     reporter: ProgressReporter,
-) -> FoundObject:
+    on_search_end: OnSearchEnd,
+) -> GoodnessOfFit:
+    """Search for the object, which is passed to `on_search_end`, and return the verdict."""
+
     def engine_on(grid: Grid) -> AbstractContextManager[Engine]:
         own_grid = case.engine.scene.object_grid
         return _prepared_engine(
@@ -266,20 +288,27 @@ def _run(
         case = case._replace(source=found_source.source, source_deviations=found_source.deviations)
     if settings.method == "paper":
         found = _retrieve(case, settings, engine_on, reporter)
+        on_search_end(case, found)
     else:
         # The list gives up the initial state, so that its arrays do not stay in memory to the end.
         initial = [saved_state(case.checkpoint, case.scratch)]
         if initial == [None] and start is None:
             initial = [_coarse_start(case, settings, hand_over, reporter)]
-        case, found = _find_object(case, settings, hand_over, reporter, start, initial)
-    judged = judge_result(case, settings, engine_on, found, reporter.step)
-    transmission, field_behind, maps, curve, of_method = found[:5]
-    del found
-    focus = None
-    if field_behind is not None and settings.focus_mm is not None:
+        case, found = _find_object(case, settings, hand_over, reporter, start, initial, on_search_end)
+    return judge_result(case, settings, engine_on, found, reporter.step)
+
+
+def _found_object(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    found: MethodResult,
+    reporter: ProgressReporter,
+) -> FoundObject:
+    """Return the object found, refocused and compared with the true object, but not judged."""
+    transmission, focus = found.transmission, None
+    if found.behind is not None and settings.focus_mm is not None:
         reporter.step("refocusing")
-        transmission, focus = _refocus(case, settings.focus_mm, field_behind, reporter)
-        field_behind = None
+        transmission, focus = _refocus(case, settings.focus_mm, found.behind, reporter)
     assert transmission is not None
     true, truth = None, dict[str, float | None]()
     if case.truth is not None:
@@ -294,11 +323,11 @@ def _run(
         inside=case.inside,
         planes=case.planes,
         recorded=case.recorded,
-        residual_maps=maps,
-        curve=curve,
-        verdict=judged,
+        residual_maps=found.residual_maps,
+        curve=found.curve,
+        verdict=unjudged_result(case, found),
         focus=focus,
-        of_method=of_method,
+        of_method=found.of_method,
         true=true,
         truth=truth,
         charts=case.charts,
@@ -351,8 +380,9 @@ def _find_object(
     reporter: ProgressReporter,
     start: Field | None,
     initial: list[SolverState | None],
+    on_search_end: OnSearchEnd,
 ) -> tuple[ReconstructionProblem, MethodResult]:
-    """Return the object, and the problem with the engine that found it.
+    """Return the object with all that its verdict needs, and the problem with the engine that found it.
 
     If residuals exceed the noise by at most the engine's predicted error, a more accurate engine continues,
     unless engine or error was stated. If that engine leaves more than the noise, the engine was not the
@@ -360,9 +390,7 @@ def _find_object(
     """
     checkpoint: Checkpoint | None = case.checkpoint
     curve: tuple[float, ...] = ()
-    model_error = MODEL_ERROR
     first: Field | Literal["amplitude"] | None = "amplitude" if settings.first == "amplitude" else start
-    errors: tuple[Array, ...] = ()
     replaced: dict[str, Any] = {}
     while True:
         with _prepared_engine(case.engine, hand_over, reporter) as engine:
@@ -380,10 +408,14 @@ def _find_object(
             is_limited = is_engine_limited(case, maps, found.misfit[-1])
             accurate = more_accurate_case(case, reporter.step) if is_limited else None
             if accurate is None or keeps_engine(settings):
+                result = _method_result(case, settings, found, maps, curve, replaced)
+                on_search_end(case, result)
                 if accurate is not None:
                     errors = engine_errors(accurate, case, settings, found, maps)
+                    result = result._replace(engine_errors=errors)
                 elif is_limited and not replaced:  # a wrong bench must not pass because the engine changed
                     model_error = math.hypot(MODEL_ERROR, case.predicted_error / SAFETY)
+                    result = result._replace(model_error=model_error)
                 agreement = agreement_of_starts(
                     engine,
                     case.light,
@@ -393,10 +425,21 @@ def _find_object(
                     reporter.step,
                     case.modes,
                 )
-                break
+                return case, result._replace(agreement=agreement)
         replaced = engine_replaced(replaced.get("before") or engine_summary(case), accurate)
         reporter.step(replaced["words"])
         case, first, checkpoint = accurate, found.transmission, None
+
+
+def _method_result(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    found: Reconstructed,
+    maps: tuple[Array, ...],
+    curve: tuple[float, ...],
+    replaced: dict[str, Any],
+) -> MethodResult:
+    """Return the object of a search, or the field behind it that is to be refocused."""
     of_method: dict[str, Any] = {
         "scale": found.scale,
         "misfit": found.misfit[-1],
@@ -412,9 +455,7 @@ def _find_object(
         )
     whole = None if isinstance(case.engine, Tiled) else found.transmission
     transmission = shown_part if field_behind is None else None
-    return case, MethodResult(
-        transmission, field_behind, maps, curve, of_method, agreement, whole, errors, model_error
-    )
+    return MethodResult(transmission, field_behind, maps, curve, of_method, whole=whole)
 
 
 def _source_summary(case: ReconstructionProblem, settings: ReconstructionSettings) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from wavesim_command import frames_and_design, write_frames
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.calibration import calibration_problem
+from wavesim.calibration import calibration_problem, frame_calibration
 from wavesim.calibration.calibration_result import field_stop_of, read_calibration
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
@@ -112,6 +112,22 @@ def test_an_interrupted_search_goes_on(
     found = json.loads((tmp_path / "calibration.json").read_text())
     assert found["mountings_tried"] > began[1]
     assert set(found["deviations"]) == {"decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg"}
+
+
+def test_an_interrupt_during_the_verdict_keeps_the_bench(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(frame_calibration, "reconstruct_frames", interrupted)
+    command = (*frames_and_design(data), "--parameters", "decenter_x_mm", "--iterations", 2, "--scale", 1)
+    code, out, err = wavesim("calibrate", *command, "--max-mountings", 2, "-o", tmp_path)
+    assert code == 1, err
+    assert "not judged" in out
+    stored = json.loads((tmp_path / "calibration.json").read_text())
+    assert (stored["verdict"], stored["explained"]) == (None, None)
+    assert list(stored["values"]) == ["decenter_x_mm"]
 
 
 @pytest.mark.usefixtures("quick_verdicts")

@@ -12,8 +12,8 @@ from programs import Command
 from wavesim_command import ENDED, PIXELS, PLANES_MM, frames_and_design
 
 from wavesim.forward import forward_model
+from wavesim.reconstruction import frame_reconstruction, phase_retrieval, resumable
 from wavesim.reconstruction import object_solver as reconstruction
-from wavesim.reconstruction import phase_retrieval, resumable
 from wavesim.sensor.frames import Frame, read_frame, write_frame
 
 
@@ -103,6 +103,39 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     whole, cut = (np.load(tmp_path / name / "reconstruction.npz")["values"] for name in ("whole", "cut"))
     np.testing.assert_allclose(cut, whole, atol=1e-5)
     assert not (tmp_path / "cut" / "checkpoint.npz").exists()
+
+
+@pytest.mark.parametrize("as_json", [(), ("--json",)])
+def test_an_interrupt_during_the_verdict_keeps_the_object(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path, as_json: tuple[str, ...]
+) -> None:
+    out, options = tmp_path / "out", (*usual(data), "--kind", "amplitude", "--iterations", 4)
+    judge, there = frame_reconstruction.judge_result, list[str]()
+
+    def interrupted(*_: Any) -> Any:
+        there.extend(sorted(path.name for path in out.iterdir()))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(frame_reconstruction, "judge_result", interrupted)
+    code, printed, err = wavesim("reconstruct", *options, "-o", out, *as_json)
+    assert code == 1, err
+    assert {"amplitude.tif", "reconstruction.npz", "residuals.png", "reconstruction.json"} <= set(there)
+    stored = json.loads((out / "reconstruction.json").read_text())
+    if as_json:
+        assert json.loads(printed)["verdict"] == stored["verdict"]
+    else:
+        assert "verdict: not judged" in printed
+    assert (stored["verdict"]["judged"], stored["verdict"]["explained"]) == (False, False)
+    assert stored["verdict"]["over_noise"] > 0.0
+    first = np.load(out / "reconstruction.npz")["values"]
+
+    monkeypatch.setattr(frame_reconstruction, "judge_result", judge)
+    code, _, err = wavesim("reconstruct", *options, "-o", out)
+    assert code in ENDED, err
+    judged = json.loads((out / "reconstruction.json").read_text())
+    assert judged["verdict"]["judged"] is True
+    assert [Path(path).name for path in judged["files"]] == stored["files"] == judged["files"]
+    np.testing.assert_array_equal(np.load(out / "reconstruction.npz")["values"], first)
 
 
 def changed(frame: Frame, path: Path, counts: Any = None, **settings: Any) -> Path:
