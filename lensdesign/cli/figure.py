@@ -47,7 +47,7 @@ def figure(
     """Convert an interferogram into a grid file with the sag errors of a surface.
 
     A design with `[surface.figure]` and `file = "front.csv"` then has the surface as made. The middle of the
-    measured area becomes the vertex.
+    measured area becomes the vertex. Isolated points without data are filled from their neighbours.
 
     Example: lensdesign figure front.dat --side front -o front.csv
     """
@@ -68,11 +68,17 @@ def figure(
                 "power_um": found.power_um,
                 "pv_um": found.pv_um,
                 "rms_um": found.rms_um,
+                "bridged_points": found.bridged_points,
+                "ignored_points": found.ignored_points,
             }
         )
         return
     power = "kept" if keep_power else "removed"
     typer.echo(f"{columns} x {rows} points, {found.spacing_mm:.4g} mm apart")
+    if found.bridged_points:
+        typer.echo(f"{found.bridged_points} isolated points without data, filled from their neighbours")
+    if found.ignored_points:
+        typer.echo(f"{found.ignored_points} points with heights far from all others, ignored")
     typer.echo(f"measured without gaps up to a semi-diameter of {found.semi_diameter_mm:.4g} mm")
     typer.echo(f"tilt {found.tilt_deg[0]:.3g}° and {found.tilt_deg[1]:.3g}° along x and y, removed")
     typer.echo(f"power {found.power_um:.3g} µm, {power}")

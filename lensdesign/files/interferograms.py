@@ -1,6 +1,6 @@
 """Interferograms: maps of the height of a made surface, and the sag error that they show.
 
-The reader supports Zygo's binary files (MetroPro ``.dat``, Mx ``.datx``) through prysm. A map shows the
+The reader supports Zygo's binary files: MetroPro ``.dat`` through prysm, and Mx ``.datx``. A map shows the
 surface as the camera of the instrument sees it: the first row is at the top, and heights are positive towards
 the instrument. The instrument looks at a front surface along +z, and at a back surface along -z; the top of
 its picture is +y. A front is therefore seen mirrored, and its heights are opposite to sag errors.
@@ -22,6 +22,14 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.errors import InputError
+from lensdesign.files.zygo_datx import read_datx
+from lensdesign.lens.height_maps import (
+    bridge_dropouts,
+    implausible_heights,
+    main_area,
+    validate_heights,
+    validate_spacing,
+)
 from lensdesign.lens.surface_figure import FEWEST_POINTS
 
 Side = Literal["front", "back"]
@@ -66,13 +74,16 @@ class FigureMap:
     spacing_mm : float
         Distance between neighbouring points in mm.
     semi_diameter_mm : float
-        Radius of the largest disc about the middle in which every point was measured.
+        Radius of the largest disc about the middle in which every point was measured or bridged.
     tilt_deg : (x, y)
         Removed slopes along x and y, as angles.
     power_um : float
         Power (r^2) within the semi-diameter, as the sag error in um that it causes at its rim.
     pv_um, rms_um : float
         Peak to valley and root mean square of the sag error within the semi-diameter.
+    bridged_points, ignored_points : int
+        Number of points without data whose sag error follows from their neighbours, and of points whose
+        height is so far from all others that it was ignored.
     """
 
     sag_error_mm: Array
@@ -82,6 +93,8 @@ class FigureMap:
     power_um: float
     pv_um: float
     rms_um: float
+    bridged_points: int
+    ignored_points: int
 
 
 def read_interferogram(path: str | os.PathLike[str], spacing_mm: float | None = None) -> Interferogram:
@@ -97,7 +110,8 @@ def read_interferogram(path: str | os.PathLike[str], spacing_mm: float | None = 
     Raises
     ------
     InputError
-        If the file cannot be read, is of another kind, or does not state a spacing and none is given.
+        If the file cannot be read, is of another kind, refers to other files, states no spacing and none is
+        given, or its spacing or heights are outside the range of a surface.
     """
     check_input(path, TABLE_BYTES)
     try:
@@ -108,32 +122,40 @@ def read_interferogram(path: str | os.PathLike[str], spacing_mm: float | None = 
     if not start.startswith((*DAT_MAGIC, HDF5_MAGIC)):
         raise InputError(f"{path}: no Zygo file (.dat of MetroPro or .datx of Mx)")
     try:
-        from prysm.io import read_zygo_dat, read_zygo_datx
-    except ImportError as error:
+        height_mm, stated_mm = read_datx(path) if start == HDF5_MAGIC else _read_dat(path)
+    except ModuleNotFoundError as error:
         raise InputError(
             f"interferograms need an extra: pip install 'transferlens[interferograms]' ({error})"
         ) from None
-    read = read_zygo_datx if start == HDF5_MAGIC else read_zygo_dat
-    try:
-        found = read(path)
-        height_mm = 1e-6 * np.asarray(found["phase"], float)
-        metadata = found["meta"]
-        names = [name for name in ("lateral_resolution", "Lateral Resolution") if name in metadata]
-        stated_mm = 1e3 * float(metadata[names[0]]) if names else 0.0
+    except InputError:
+        raise
     except (*UNREADABLE, struct.error) as error:
         raise InputError(f"{path}: cannot be read as a Zygo file; is it cut short? ({error})") from error
-    spacing = stated_mm if spacing_mm is None else spacing_mm
-    if spacing_mm is None and not 0.0 < stated_mm < np.inf:
+    used_mm = stated_mm if spacing_mm is None else spacing_mm
+    if used_mm is None:
         raise InputError(f"{path}: states no distance between its points; give spacing_mm")
-    if not 0.0 < spacing < np.inf:
-        raise InputError(f"spacing_mm = {spacing:g}: must be finite and above 0")
-    if height_mm.ndim != 2 or not np.any(np.isfinite(height_mm)):
+    validate_spacing(used_mm, f"{path}: distance between points" if spacing_mm is None else "spacing_mm")
+    if not np.any(np.isfinite(height_mm)):
         raise InputError(f"{path}: has no measured points")
-    return Interferogram(height_mm, spacing)
+    validate_heights(height_mm, str(path))
+    return Interferogram(height_mm, used_mm)
+
+
+def _read_dat(path: str | os.PathLike[str]) -> tuple[Array, float | None]:
+    """Return the heights in mm of a file of MetroPro, and the distance between its points."""
+    from prysm.io import read_zygo_dat
+
+    with np.errstate(all="ignore"):
+        found = read_zygo_dat(path)
+    spacing_mm = 1e3 * float(found["meta"]["lateral_resolution"])
+    return 1e-6 * np.asarray(found["phase"], float), spacing_mm if spacing_mm > 0.0 else None
 
 
 def figure_map(interferogram: Interferogram, side: Side, *, keep_power: bool = False) -> FigureMap:
     """Return the sag error that an interferogram shows, about the middle of the measured area.
+
+    Isolated dropouts are bridged from their neighbours, and heights far from all others count as dropouts.
+    Tilt and power are fitted to all points of the disc about the middle that were measured or bridged.
 
     Parameters
     ----------
@@ -147,30 +169,38 @@ def figure_map(interferogram: Interferogram, side: Side, *, keep_power: bool = F
     Raises
     ------
     InputError
-        If the measured area is too small.
+        If an area without data lies in the middle, or the measured area is too small.
     """
-    height, spacing = interferogram.height_mm, interferogram.spacing_mm
-    measured = np.isfinite(height)
+    spacing = interferogram.spacing_mm
+    height = interferogram.height_mm
+    ignored = implausible_heights(height)
+    height = np.where(ignored, np.nan, height)
+    measured = main_area(height)
     rows, columns = (np.flatnonzero(measured.any(axis=axis)) for axis in (1, 0))
-    seen = height[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    bridged = bridge_dropouts(np.where(measured, height, np.nan)[box])
     # The first row is at the top. An instrument that looks along +z has +x on its left.
-    sag = seen[::-1] if side == "back" else -seen[::-1, ::-1]
+    turn = np.s_[::-1] if side == "back" else np.s_[::-1, ::-1]
+    sag = (1.0 if side == "back" else -1.0) * bridged.height_mm[turn]
     y, x = (spacing * (np.arange(n) - 0.5 * (n - 1)) for n in sag.shape)
     radial_height = np.hypot(x, y[:, None])
-    missing = radial_height[~np.isfinite(sag)]
-    semi_mm = min(float(missing.min(initial=np.inf)) - spacing, float(x[-1]), float(y[-1]))
+    missing = np.where(np.isfinite(sag), np.inf, radial_height)
+    whole_mm = min(float(x[-1]), float(y[-1]))
+    semi_mm = min(float(missing.min()) - spacing, whole_mm)
     if semi_mm < 0.5 * FEWEST_POINTS * spacing:
+        row, column = np.unravel_index(int(np.argmin(missing)), missing.shape)
         raise InputError(
             "areas without data in the middle of the map: every point within some distance of the middle "
-            f"of the measured area must be measured, over at least {FEWEST_POINTS} points"
+            f"of the measured area must be measured, over at least {FEWEST_POINTS} points. The area about "
+            f"x = {x[column]:.3g} mm, y = {y[row]:.3g} mm is too large to be bridged"
         )
     across, down = (np.broadcast_to(one, sag.shape) for one in (x, y[:, None]))
     terms = np.stack([np.ones(sag.shape), across, down, radial_height**2], axis=-1)
-    inside = radial_height <= semi_mm
-    coefficients = np.linalg.lstsq(terms[inside], sag[inside], rcond=None)[0]
+    fitted = (radial_height <= max(semi_mm, whole_mm - spacing)) & np.isfinite(sag)
+    coefficients = np.linalg.lstsq(terms[fitted], sag[fitted], rcond=None)[0]
     removed = coefficients * [1.0, 1.0, 1.0, not keep_power]
     sag = sag - terms @ removed
-    within = 1e3 * sag[inside]
+    within = 1e3 * sag[radial_height <= semi_mm]
     tilt_x, tilt_y = np.degrees(np.arctan(coefficients[1:3])).tolist()
     return FigureMap(
         sag,
@@ -180,4 +210,6 @@ def figure_map(interferogram: Interferogram, side: Side, *, keep_power: bool = F
         1e3 * float(coefficients[3]) * semi_mm**2,
         float(np.ptp(within)),
         float(np.std(within)),
+        int(np.count_nonzero(bridged.bridged)),
+        int(np.count_nonzero(ignored)),
     )

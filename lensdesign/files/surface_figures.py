@@ -2,7 +2,9 @@
 
 A grid file is CSV text. It starts with two lines ``# spacing_mm = 0.1`` and ``# unit = um``; other lines that
 start with # are comments. One line for each row of the grid follows: x increases along each line, y from line
-to line. The middle of the grid is the vertex. ``nan`` or an empty entry marks a point that was not measured.
+to line. The middle of the grid is the vertex. ``nan`` or an empty entry marks a point that was not measured,
+and so does the value of a line ``# no_data = -9999``. A height far from all others is refused, because it may
+be such a value; ``# no_data = none`` states that it is a height.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.tables import read_grid_row, read_number, validate_no_comma_pairs
 from lensdesign.common.toml_files import read_text, unknown_key
 from lensdesign.errors import InputError
+from lensdesign.lens.height_maps import implausible_heights, validate_heights, validate_spacing
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
 from lensdesign.lens.surface_figure import (
@@ -33,6 +36,10 @@ UNITS_MM = {"mm": 1.0, "um": 1e-3, "nm": 1e-6, "waves_633nm": 1e-3 * TEST_WAVELE
 """Length in mm of each unit that a grid file may use."""
 
 KEYS = ("spacing_mm", "unit")
+"""Keys that the header of a grid file must contain."""
+
+NO_DATA = "no_data"
+"""Key of the header that states the value of points that were not measured, or "none"."""
 
 
 def surface_figure(surface: Surface) -> SurfaceFigure | None:
@@ -140,7 +147,28 @@ def read_surface_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float
     if not rows:
         raise InputError(f"{path}: holds no values")
     validate_no_comma_pairs(texts)
-    return np.array(rows) * UNITS_MM[header["unit"]], float(header["spacing_mm"])
+    return _heights_mm(np.array(rows), header, path), float(header["spacing_mm"])
+
+
+def _heights_mm(values: Array, header: dict[str, str], path: Path) -> Array:
+    """Return the heights in mm, after checks of values that may mark points without data."""
+    stated, unit = header.get(NO_DATA), header["unit"]
+    if stated is not None and stated != "none":
+        values[values == float(stated)] = np.nan
+    heights = values * UNITS_MM[unit]
+    suspicious = implausible_heights(heights)
+    if stated is None and np.any(suspicious):
+        row, column = np.argwhere(suspicious)[0]
+        others = np.ptp(values[~suspicious & np.isfinite(values)])
+        raise InputError(
+            f"{path}: row {row + 1}, column {column + 1} of the grid: {values[row, column]:g} {unit} "
+            f"lies far from all other heights, whose range is {others:.3g} {unit} "
+            f"({np.count_nonzero(suspicious)} such points). If it marks points that were not measured, "
+            f"add the line '# {NO_DATA} = {values[row, column]:g}' to the header; "
+            f"if it is a height, '# {NO_DATA} = none'"
+        )
+    validate_heights(heights, str(path))
+    return heights
 
 
 def write_surface_figure_grid(
@@ -175,7 +203,7 @@ def write_surface_figure_grid(
     values = np.asarray(sag_error_mm, float)
     if values.ndim != 2 or not values.size:
         raise InputError(f"sag_error_mm has shape {values.shape}: must be (rows, columns)")
-    lines = [f"# spacing_mm = {float(spacing_mm)!r}", "# unit = um"]
+    lines = [f"# spacing_mm = {float(spacing_mm)!r}", "# unit = um", f"# {NO_DATA} = none"]
     lines += [",".join(repr(float(v)) for v in row) for row in 1e3 * values]
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -186,14 +214,16 @@ def _read_header(text: str, header: dict[str, str], location: str) -> None:
     key, equals, value = (piece.strip() for piece in text.partition("="))
     if not equals:
         return
-    if key not in KEYS:
-        raise InputError(f"{location}: {key}: {unknown_key(key, KEYS)}")
+    if key not in (*KEYS, NO_DATA):
+        raise InputError(f"{location}: {key}: {unknown_key(key, (*KEYS, NO_DATA))}")
     if key in header:
         raise InputError(f"{location}: {key} is given twice")
     if key == "unit" and value not in UNITS_MM:
         raise InputError(f"{location}: unit = {value}: allowed: {', '.join(UNITS_MM)}")
-    if key == "spacing_mm" and not 0.0 < read_number(value, location, key) < math.inf:
-        raise InputError(f"{location}: spacing_mm = {value}: must be finite and above 0")
+    if key == "spacing_mm":
+        validate_spacing(read_number(value, location, key), f"{location}: spacing_mm")
+    if key == NO_DATA and value != "none":
+        read_number(value, location, key)
     header[key] = value
 
 

@@ -7,6 +7,7 @@ import os
 import re
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from lensdesign.files.surface_figures import (
     surface_figure,
     write_surface_figure_grid,
 )
+from lensdesign.lens.height_maps import implausible_heights
 from lensdesign.lens.surface_figure import surface_figure_from_zernike
 from lensdesign.optimization.specification.specification import load_specification
 from lensdesign.raytrace.compiled import compile_system
@@ -81,7 +83,7 @@ def grid_file(folder: Path, name: str = "front.csv") -> Path:
 @given(seed=SEEDS)
 def test_a_written_grid_reads_back(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    values = rng.normal(size=rng.integers(1, 12, 2)) * 10.0 ** rng.integers(-9, 3)
+    values = rng.uniform(-1.0, 1.0, rng.integers(1, 12, 2)) * 10.0 ** rng.integers(-9, 1)
     values[rng.random(values.shape) < 0.2] = np.nan
     spacing = float(rng.uniform(0.01, 1.0))
     path = tmp_path_factory.getbasetemp() / "map.csv"
@@ -99,11 +101,13 @@ def test_rows_rise_along_y_and_values_along_x(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("unit", "value_mm"), [("mm", 2.0), ("um", 2e-3), ("nm", 2e-6), ("waves_633nm", 2.0 * 0.6328e-3)]
+    ("unit", "value_mm"), [("mm", 0.5), ("um", 5e-4), ("nm", 5e-7), ("waves_633nm", 0.5 * 0.6328e-3)]
 )
 def test_units_comments_and_points_not_measured(tmp_path: Path, unit: str, value_mm: float) -> None:
     path = tmp_path / "map.csv"
-    path.write_text(f"\ufeff# of the first sample\n# unit = {unit}\n#spacing_mm=0.5\n2, ,nan\n\n0.5e0,1,-2\n")
+    path.write_text(
+        f"\ufeff# of the first sample\n# unit = {unit}\n#spacing_mm=0.5\n0.5, ,nan\n\n1.25e-1,.25,-.5\n"
+    )
     values, spacing = read_surface_figure_grid(path)
     assert spacing == 0.5
     np.testing.assert_allclose(
@@ -124,7 +128,7 @@ def test_units_comments_and_points_not_measured(tmp_path: Path, unit: str, value
         ("# spacing_mm = 1\n# unit = um\n0,012,1\n", "line 3: '012': begins with a zero"),
         ("# spacing_mm = 0,1\n# unit = um\n1.5,2\n", "line 1: spacing_mm = '0,1' is not a number: a comma"),
         ("# spacing_mm = 1\n# unit = um\n1,inf\n", "line 3: inf is not a valid sag error"),
-        ("# spacing_mm = -1\n# unit = um\n1\n", "line 1: spacing_mm = -1: must be finite and above 0"),
+        ("# spacing_mm = -1\n# unit = um\n1\n", "line 1: spacing_mm = -1: must be 1e-05 to 1000 mm"),
         ("# spacing_mm = 1\n# unit = mils\n1\n", "line 2: unit = mils: allowed: mm, um, nm, waves_633nm"),
         ("# spacing = 1\n1\n", r"line 1: spacing: .*did you mean spacing_mm"),
         ("# unit = um\n# unit = um\n1\n", "line 2: unit is given twice"),
@@ -136,6 +140,66 @@ def test_faults_of_a_grid_file_are_named(tmp_path: Path, text: str, message: str
     with pytest.raises(InputError, match=message) as caught:
         read_surface_figure_grid(path)
     assert str(path) in str(caught.value)
+
+
+def heights_nm() -> Any:
+    """A bowl of 80 nm on 21 x 21 points."""
+    at = np.linspace(-1.0, 1.0, 21)
+    return np.round(40.0 * (at[:, None] ** 2 + at**2), 2)
+
+
+def write_nm(path: Path, values_nm: Any, header: str = "") -> Path:
+    lines = [",".join(f"{value:g}" for value in row) for row in values_nm]
+    path.write_text("\n".join([f"# spacing_mm = 0.5\n# unit = nm{header}", *lines]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("fill", [-9999.0, 9999.0, -32768.0, 999.99, 1e4, -1e38])
+@pytest.mark.parametrize("where", ["one", "outside", "both signs"])
+def test_fill_values_are_not_taken_as_heights(tmp_path: Path, fill: float, where: str) -> None:
+    values, at = heights_nm(), np.linspace(-1.0, 1.0, 21)
+    filled = np.hypot(at[:, None], at) > 0.8 if where == "outside" else np.zeros(values.shape, bool)
+    filled[7, 11] = where != "outside"
+    values[filled] = fill
+    if where == "both signs":
+        values[3, 3] = -fill
+    path = write_nm(tmp_path / "map.csv", values)
+    with pytest.raises(InputError, match=r"nm lies far from all other heights.*# no_data = ") as caught:
+        read_surface_figure_grid(path)
+    assert str(path) in str(caught.value)
+    if where != "both signs":
+        read, _ = read_surface_figure_grid(write_nm(path, values, f"\n# no_data = {fill:g}"))
+        np.testing.assert_array_equal(np.isnan(read), filled)
+        np.testing.assert_allclose(read[~filled], 1e-6 * heights_nm()[~filled], rtol=1e-12, atol=1e-18)
+
+
+def test_a_height_far_from_the_others_may_be_stated_to_be_one(tmp_path: Path) -> None:
+    values = heights_nm()
+    values[4, 4] = 3000.0
+    read, _ = read_surface_figure_grid(write_nm(tmp_path / "map.csv", values, "\n# no_data = none"))
+    assert read[4, 4] == pytest.approx(3e-3)
+    write_surface_figure_grid(read, 0.5, tmp_path / "again.csv")
+    np.testing.assert_allclose(read_surface_figure_grid(tmp_path / "again.csv")[0], read, rtol=1e-15)
+
+
+@given(seed=SEEDS)
+def test_real_maps_have_no_implausible_heights(seed: int) -> None:
+    """Bowls, bumps, steps and rough surfaces, also with points without data."""
+    rng = np.random.default_rng(seed)
+    at = np.linspace(-1.0, 1.0, 40)
+    x, y = np.meshgrid(at, at)
+    bowl = rng.normal() * (x * x + y * y) + rng.normal() * x * y
+    bump = 20.0 * rng.normal() * np.exp(-((x - 0.3) ** 2 + (y + 0.2) ** 2) / 0.02)
+    height = bowl + bump + rng.normal() * (x > rng.uniform(-0.8, 0.8)) + 0.1 * rng.normal(size=x.shape)
+    height[rng.random(height.shape) < 0.3] = np.nan
+    assert not np.any(implausible_heights(height * 10.0 ** rng.uniform(-6, -1)))
+
+
+@pytest.mark.parametrize("height_mm", [1e4, -1e4, 1.01])
+def test_a_map_of_heights_that_no_surface_has_is_refused(tmp_path: Path, height_mm: float) -> None:
+    path = write_nm(tmp_path / "map.csv", np.full((9, 9), 1e6 * height_mm))
+    with pytest.raises(InputError, match=r"a height of .* must be at most 1 mm; check the unit"):
+        read_surface_figure_grid(path)
 
 
 def test_what_is_no_grid_is_not_written(tmp_path: Path) -> None:
