@@ -24,7 +24,11 @@ from lensdesign.files.draft import (
     SurfaceRow,
     quoted,
 )
-from lensdesign.files.first_order_check import MARGINAL_TOLERANCE, check_first_order
+from lensdesign.files.first_order_check import (
+    MARGINAL_TOLERANCE,
+    check_first_order,
+    compare_recorded_indices,
+)
 from lensdesign.files.marginal_ray import MeridionalSystem
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
@@ -114,6 +118,10 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     _remark_automatic(rows, draft)
     lens = _lens(draft, values, surfaces, catalogs)
     first_order = check_first_order(draft, lens, pose, supplement, filled)
+    if loss := compare_recorded_indices(draft, first_order, catalogs):
+        draft.add_loss(loss)
+        if not lossy:
+            raise LossyImportError(source, draft.dropped)
     return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks), first_order, stated)
 
 

@@ -25,8 +25,14 @@ import numpy as np
 from lensdesign.common.input_files import LENS_FILE_BYTES, read_input
 from lensdesign.common.toml_files import joined_faults
 from lensdesign.errors import InputError, MaterialError
+from lensdesign.files.index_records import (
+    INDEX_NOTED,
+    INDEX_REFUSED,
+    IndexRecord,
+    index_difference,
+)
 from lensdesign.lens.coatings.coating import coating_text
-from lensdesign.lens.glass import get_material, list_glasses, normalized_name
+from lensdesign.lens.glass import get_material, glass_summary, list_glasses, normalized_name
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.base import Shape
@@ -128,12 +134,16 @@ class ImportedFirstOrder:
 
 @dataclass(frozen=True)
 class RecordedSurface:
-    """A surface as the file records it, without any interpretation."""
+    """A surface as the file records it, without any interpretation.
+
+    `index` is what the file states on the index of the medium behind it, apart from the name of a glass.
+    """
 
     curvature_per_mm: float
     distance_mm: float
     material: str | float | None
     stop: bool = False
+    index: IndexRecord | None = None
 
 
 @dataclass(frozen=True)
@@ -273,6 +283,38 @@ class Draft:
         """Add a remark on the import, unless it is listed already."""
         if remark not in self.remarks:
             self.remarks.append(remark)
+
+    def compare_index(
+        self, name: str, material: str, record: IndexRecord, catalogs: Sequence[Path], is_foreign: bool
+    ) -> None:
+        """Add a remark or a loss if the data of a glass differ from what the file states on its index.
+
+        A catalogue that the user gave is used as it is, with a remark.
+
+        Parameters
+        ----------
+        name
+            Name of the surface.
+        material, catalogs
+            Name of the glass in a design file, and the user's own catalogues.
+        record
+            The file's index record.
+        is_foreign
+            Whether the data are those of a catalogue that the file does not name; then the difference is
+            always stated.
+        """
+        wavelength_um = self.wavelengths_um[0] if self.wavelengths_um else None
+        difference = index_difference(material, record, wavelength_um, catalogs)
+        if difference is None:
+            return
+        is_own = get_material(material, catalogs).catalog in {path.name for path in catalogs}
+        if abs(difference.nd) > INDEX_REFUSED and not is_own:
+            self.add_loss(
+                f"{name}: glass {material} has {difference.text}; more than {INDEX_REFUSED:g} is another "
+                "glass. Give the glass catalogue that the file uses (AGF), or correct the name or the record"
+            )
+        elif is_foreign or abs(difference.nd) > INDEX_NOTED:
+            self.add_remark(f"{name}: glass {material} has {difference.text}")
 
     def check_object_and_image(self) -> None:
         """Add a loss if the object or the image is curved, or if the object is not in air."""
@@ -579,7 +621,21 @@ def find_glass(
                 f"({named}); that of {maker} may differ from it. Give a glass catalogue (AGF) that has it"
             )
         remark(f"glass {name} is that of {maker}; the file names the catalogues {named}")
+    elif makers and maker not in {path.name for path in catalogs}:
+        named = ", ".join(dict.fromkeys(makers))
+        remark(
+            f"glass {name} has the data of {_source_of(name, catalogs)}; the file names the catalogues "
+            f"{named}, and none of them that is available has it (give a glass catalogue, AGF, that has it)"
+        )
     return name
+
+
+def _source_of(name: str, catalogs: Sequence[Path]) -> str:
+    """Return the catalogue of a material; for a measurement from the literature also its author and year."""
+    material = get_material(name, catalogs)
+    if material.catalog != "refractiveindex.info":
+        return material.catalog
+    return f"{material.catalog} ({material.source.partition('; ')[2].partition(':')[0]})"
 
 
 def _glass_of_catalogues(
@@ -613,6 +669,8 @@ def _glass_of_catalogues(
                 }
                 if others:
                     remark(f"glass {name} is that of {catalog}, not of {' or '.join(sorted(others))}")
+            else:
+                _remark_same_names(name, found, named, listed, catalogs, remark)
             _remark_notes(found, catalogs, remark)
             return found
     if names_schott and name.upper() in REPLACED_SCHOTT_GLASSES:
@@ -620,6 +678,31 @@ def _glass_of_catalogues(
         remark(f"glass {name} is read as {successor}, its successor with the same dispersion formula")
         return _shortest_name(successor, "Schott", catalogs)
     return None
+
+
+def _remark_same_names(
+    name: str,
+    found: str,
+    named: Sequence[str],
+    listed: Sequence[tuple[str, str]],
+    catalogs: Sequence[Path],
+    remark: Callable[[str], None],
+) -> None:
+    """Add a remark if another catalogue that the file names has a glass of this name with other data."""
+    material, nd = get_material(found, catalogs), glass_summary(found, catalogs)["nd"]
+    others = []
+    for other, catalog in listed:
+        is_same = normalized_name(other) == normalized_name(name)
+        if not is_same or catalog == material.catalog or catalog not in named:
+            continue
+        other_nd = glass_summary(f"{catalog}:{other}", catalogs)["nd"]
+        if nd is not None and other_nd is not None and abs(other_nd - nd) > INDEX_NOTED:
+            others.append(f"that of {catalog} has {other_nd:.6f}")
+    if others:
+        remark(
+            f"glass {name} is that of {material.catalog} with nd {nd:.6f}, whom the file names first; "
+            f"{', '.join(others)}"
+        )
 
 
 def _maker_of(name: str, catalogs: Sequence[Path], location: str) -> str:

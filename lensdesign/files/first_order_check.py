@@ -3,6 +3,9 @@
 The imported lens is traced with exact rays close to the axis. The file's records, read a second time and
 without interpretation, give the same quantities by the paraxial equations (Hecht, Optics, section 6.2):
 refraction n' u' = n u - (n' - n) c y, and transfer y' = y + d u. A difference reveals an error of the import.
+
+Where the file also states indices (the GLAS columns of OpticStudio, a model glass), the focal length by these
+indices is compared too (:func:`compare_recorded_indices`). It does not depend on the glasses that were found.
 """
 
 from __future__ import annotations
@@ -16,9 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from lensdesign.errors import InputError
-from lensdesign.files.draft import Draft, ImportedFirstOrder, Supplement
+from lensdesign.files.draft import Draft, ImportedFirstOrder, RecordedSurface, Supplement
+from lensdesign.files.index_records import INDEX_REFUSED
 from lensdesign.files.marginal_ray import MeridionalSystem
-from lensdesign.lens.glass import refractive_index
+from lensdesign.lens.glass import get_material, refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 
@@ -27,6 +31,10 @@ TOLERANCE = 1e-6
 
 MARGINAL_TOLERANCE = 1e-3
 """Allowed relative difference between the marginal ray's height at the stop and the stop's semi-diameter."""
+
+FOCAL_LENGTH_NOTED, FOCAL_LENGTH_REFUSED = 1e-4, 1e-2
+"""Relative differences between the focal lengths of the imported lens and by the file's index records from
+which an import has a note and from which it needs --lossy."""
 
 SMALLEST_POWER = 1e-3
 """Power in 1/mm below which the comparison is absolute; terms in r^4 still bend rays near the axis."""
@@ -140,6 +148,76 @@ def check_first_order(
             + ". A record of the file was misread, so the import is rejected"
         )
     return first
+
+
+def compare_recorded_indices(draft: Draft, first: ImportedFirstOrder, catalogs: Sequence[Path]) -> str:
+    """Compare the focal length of the imported lens with that by the file's own index records.
+
+    A difference of more than `FOCAL_LENGTH_NOTED` adds a remark to the draft. Glasses of catalogues that the
+    user gave never cause a loss.
+
+    Parameters
+    ----------
+    draft
+        Contents of the file; the surfaces with an index record count.
+    first
+        First-order data of the traced lens.
+    catalogs
+        The user's own catalogue files.
+
+    Returns
+    -------
+    str
+        A loss, if the difference exceeds `FOCAL_LENGTH_REFUSED`; else empty.
+
+    Raises
+    ------
+    InputError
+        If the constant index of a medium is not what the file states.
+    """
+    if not any(surface.index for surface in draft.recorded):
+        return ""
+    inner = draft.recorded[1:-1]
+    known = [_recorded_index(draft, surface, catalogs) for surface in inner]
+    train = _recorded(draft, catalogs, known)
+    matrix = train.matrix()
+    powers = [
+        (behind - n) * c
+        for c, n, behind in zip(train.curvatures, train.indices, train.indices[1:], strict=False)
+    ]
+    power = 0.0 if math.isinf(first.efl_mm) else 1.0 / first.efl_mm
+    expected = float(-matrix[1, 0])
+    scale = max(abs(power), abs(expected))
+    if abs(power - expected) <= max(FOCAL_LENGTH_NOTED * scale, TOLERANCE * SMALLEST_POWER):
+        return ""
+    change = f" (difference {100.0 * (expected / power - 1.0):+.3g} %)" if power else ""
+    text = (
+        f"focal length {first.efl_mm:.6g} mm at {draft.wavelengths_um[0]:g} µm, by the index records of the "
+        f"file {_efl(matrix):.6g} mm{change}"
+    )
+    smallest_scale = 0.1 * sum(map(abs, powers))  # of a nearly afocal lens
+    own = {path.name for path in catalogs}
+    is_own = any(
+        isinstance(s.material, str) and get_material(s.material, catalogs).catalog in own for s in inner
+    )
+    if abs(power - expected) > FOCAL_LENGTH_REFUSED * max(scale, smallest_scale) and not is_own:
+        return text
+    draft.add_remark(text)
+    return ""
+
+
+def _recorded_index(draft: Draft, surface: RecordedSurface, catalogs: Sequence[Path]) -> float | None:
+    """Return the index behind a surface by the file's index record; None if it has none that can be used."""
+    if surface.index is None or surface.material is None:
+        return None
+    if not isinstance(surface.material, str):
+        if abs(surface.material - surface.index.nd) > INDEX_REFUSED:
+            raise InputError(
+                f"{draft.source}: an index of {surface.material:g} was read where the file states "
+                f"{surface.index.nd:g}. A record of the file was misread, so the import is rejected"
+            )
+        return surface.index.nd
+    return surface.index.index(surface.material, draft.wavelengths_um[0], catalogs)
 
 
 def _difference(name: str, found: float, expected: float) -> list[str]:
@@ -262,12 +340,22 @@ def _lens_train(lens: Lens, system: MeridionalSystem) -> _SurfaceTrain:
     )
 
 
-def _recorded(draft: Draft, catalogs: Sequence[Path]) -> _SurfaceTrain:
-    """Return the surfaces of a file's records; coordinate breaks count as planes within one medium."""
+def _recorded(
+    draft: Draft, catalogs: Sequence[Path], stated: Sequence[float | None] | None = None
+) -> _SurfaceTrain:
+    """Return the surfaces of a file's records; coordinate breaks count as planes within one medium.
+
+    Indices that the file states replace those of the glasses.
+    """
     wavelength_um = draft.wavelengths_um[0]
     front, *inner, _ = draft.recorded
     indices = [1.0] + [
-        1.0 if s.material is None else refractive_index(s.material, wavelength_um, catalogs) for s in inner
+        n
+        if n is not None
+        else 1.0
+        if s.material is None
+        else refractive_index(s.material, wavelength_um, catalogs)
+        for s, n in zip(inner, stated or [None] * len(inner), strict=True)
     ]
     stop = next((i for i, s in enumerate(inner) if s.stop), None)
     return _trim(

@@ -57,8 +57,9 @@ from lensdesign.files.draft import (
     read_vignetting,
     written_surfaces,
 )
+from lensdesign.files.index_records import IndexRecord
 from lensdesign.files.zemax_configurations import SOLVES, text_of_configuration
-from lensdesign.lens.glass import get_material, glass_summary
+from lensdesign.lens.glass import get_material, glass_summary, list_glasses
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.base import Shape
@@ -215,9 +216,20 @@ def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> l
                 _parse_distance(block.get("DISZ", ["0"])[0], surface.location),
                 material,
                 "STOP" in block,
+                _recorded_index(glass, surface.location),
             )
         )
     return recorded
+
+
+def _recorded_index(glass: Sequence[str], location: str) -> IndexRecord | None:
+    """Return what a GLAS record states on the index, also for a model glass."""
+    if len(glass) < 4 or glass[0].upper() in ("AIR", "MIRROR"):
+        return None
+    is_model = glass[0].upper() in ("___BLANK", "MODEL") or glass[1] == "1"
+    if is_model:
+        return IndexRecord(parse_number(glass[3], location))
+    return _index_record(glass[1:], location)
 
 
 def _parse_distance(text: str, location: str) -> float:
@@ -340,7 +352,10 @@ def _material(
         return 1.0 + int(name[:3]) / 1000
     if kind > 1:
         reader.draft.add_remark(f"{surface.name}: solve or pickup of the glass replaced by its present value")
+    record = _index_record(values, surface.glass_location)
     if isinstance(stored, str) and _token(stored) == name:
+        if record is not None:
+            reader.draft.compare_index(surface.name, stored, record, supplement.glass_catalogs, False)
         return stored
 
     def remark(message: str) -> None:
@@ -351,8 +366,24 @@ def _material(
         found = find_glass(name, reader.makers, catalogs, location, remark)
     else:
         found = find_glass_of_unknown_maker(name, catalogs, location, remark)
-    _remark_catalogues(reader, surface.name, found, supplement)
+    is_foreign = _remark_catalogues(reader, surface.name, found, record, supplement)
+    if record is not None:
+        reader.draft.compare_index(surface.name, found, record, catalogs, is_foreign)
     return found
+
+
+def _index_record(values: Sequence[str], location: str) -> IndexRecord | None:
+    """Return the index record behind the name of a glass; None if it is missing or a placeholder.
+
+    OpticStudio writes 1.5 and 40 (or zeros, or an index of 1) where no index was ever computed.
+    """
+    if len(values) < 3:
+        return None
+    nd = value_at(values, 2, location)
+    vd = value_at(values, 3, location) if len(values) > 3 else 0.0
+    if nd in (0.0, 1.0) or (nd, vd) == (1.5, 40.0):
+        return None
+    return IndexRecord(nd, vd or None)
 
 
 # Names in GCAT records of the catalogues that OpticStudio supplies.
@@ -363,25 +394,47 @@ SUMITA TOPAS UMICORE VITRON ZEON
 """
 _STANDARD = frozenset(_STANDARD_CATALOGUES.split())
 
+# Other names of catalogues of the database.
+_SAME_CATALOGUE = {"NIKON": "HIKARI", "NIKON-HIKARI": "HIKARI"}
 
-def _remark_catalogues(reader: FileReader, surface_name: str, found: str, supplement: Supplement) -> None:
-    """Add a remark if the file names a catalogue that is not available and may have the same glass name."""
+
+def _remark_catalogues(
+    reader: FileReader, surface_name: str, found: str, record: IndexRecord | None, supplement: Supplement
+) -> bool:
+    """Return whether the file does not name the catalogue that has a glass.
+
+    A remark is added if the file also names a catalogue that is not available, and that may have the same
+    glass name: one of the user's, or one of OpticStudio's that comes first, unless the name has the form of a
+    maker (a hyphen) or the file's index record shows which glass is meant.
+    """
     own = {path.name for path in supplement.glass_catalogs}
-    stems = {name.casefold().removesuffix(".agf") for name in own}
-    missing = [
-        c
-        for c in reader.catalogues
-        if c.upper() not in _STANDARD and c.casefold().removesuffix(".agf") not in stems
-    ]
     try:
         catalog = get_material(found, supplement.glass_catalogs).catalog
     except MaterialError:  # reported later, when the index is needed
-        return
-    if missing and catalog not in own:
+        return False
+    if catalog in own:
+        return False
+    named = [maker.casefold() for maker in reader.makers]
+    is_foreign = catalog.casefold() not in named
+    known = {name.casefold() for _, name in list_glasses()}
+    stems = {name.casefold().removesuffix(".agf") for name in own}
+    missing = []
+    is_first = not is_foreign
+    for c in reader.catalogues:
+        alias = _SAME_CATALOGUE.get(c.upper(), c).casefold()
+        if c.upper() in _STANDARD:
+            alias = alias.split("_")[0]
+        is_first = is_first and catalog.casefold() != alias
+        is_ambiguous = is_first and record is None and "-" not in found
+        is_available = c.casefold().removesuffix(".agf") in stems or alias in known
+        if not is_available and (c.upper() not in _STANDARD or is_ambiguous):
+            missing.append(c)
+    if missing:
         reader.draft.add_remark(
             f"{surface_name}: glass {found} is that of {catalog}; the file also names {', '.join(missing)}, "
             "which may have another of this name (give it as a glass catalogue)"
         )
+    return is_foreign
 
 
 # With 25 digits a radius survives the conversion to a curvature and back without loss.
@@ -800,7 +853,12 @@ def _primary(reader: FileReader, values: list[str], location: str) -> None:
 
 
 def _catalogues(reader: FileReader, values: list[str], location: str) -> None:
-    reader.makers = list(dict.fromkeys(name for maker in values for name in (maker, maker.split("_")[0])))
+    names = [
+        name
+        for maker in values
+        for name in (maker, maker.split("_")[0], _SAME_CATALOGUE.get(maker.upper(), maker))
+    ]
+    reader.makers = list(dict.fromkeys(names))
     reader.catalogues = values
 
 

@@ -477,6 +477,7 @@ def test_more_asphere_terms_than_the_format_holds_are_not_written(tmp_path: Path
 IMPORTS = GOLDEN / "imports"
 SENSOR = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000))
 SINGLET = (IMPORTS / "aperture_smaller_than_stop.zmx").read_text()
+RECORD = "N-BK7 0 0 1.5168 64.17"
 
 
 def glass_of(lens: Lens) -> list[tuple[float | None, object]]:
@@ -685,7 +686,7 @@ def test_without_catalogues_a_former_glass_is_not_that_of_another_maker(tmp_path
 
 def test_a_former_glass_of_schott_is_that_of_a_maker_whom_the_file_names_before(tmp_path: Path) -> None:
     for gcat, maker in (("LZOS SCHOTT", "LZOS:BK10"), ("SCHOTT LZOS", "N-BK10")):
-        text = SINGLET.replace("GCAT SCHOTT", f"GCAT {gcat}").replace("N-BK7", "BK10")
+        text = SINGLET.replace("GCAT SCHOTT", f"GCAT {gcat}").replace(RECORD, "BK10 0 0 1.5 40")
         assert read_zmx(saved(tmp_path, text), SENSOR).lens.surfaces[0].material in (
             maker,
             maker.split(":")[-1],
@@ -700,7 +701,7 @@ def test_a_glass_of_an_own_catalogue_that_contradicts_itself_is_refused(tmp_path
     supplement = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000), glass_catalogs=(own,))
     with pytest.raises(MaterialError, match=r"N-BK7 .*nd = 1\.5300.*\(CD\)"):
         read_zmx(saved(tmp_path, SINGLET), supplement)
-    other = SINGLET.replace("GLAS N-BK7", "GLAS F2")
+    other = SINGLET.replace(RECORD, "F2 0 0 1.5 40")
     assert read_zmx(saved(tmp_path, other), supplement).lens.surfaces[0].material == "F2"
 
 
