@@ -8,13 +8,17 @@ The reader supports
 - circular apertures CIR and the stop STO;
 - the system apertures NAO, NA, EPD and FNO (working F-number);
 - object heights XOB and YOB, and wavelengths WL in nm (the reference REF comes first);
-- catalogue glasses such as NBK7_SCHOTT, and private glasses (PRV) given by indices or dispersion formulas
-  (:mod:`lensdesign.files.codev_glasses`);
+- catalogue glasses such as NBK7_SCHOTT, private glasses (PRV) given by indices or dispersion formulas, and
+  glass codes (:mod:`lensdesign.files.codev_glasses`);
+- the focus shift, which is the thickness of the image surface SI;
+- the surfaces that a command names: S2, S2..4, SA (all), SO, SI, SS (the stop), also relative ones (SI-1);
 - the present values of solves and pickups;
 - XDE, YDE, ADE and BDE of a pair of surfaces, plain and REV, which become the pose of the whole lens.
 
-It ignores weights, coupling codes and labels, which do not describe the lens. The commands follow the CODE V
-Reference Manual (Synopsys). There, the tilts ADE and BDE are left-handed.
+It ignores weights, coupling codes, labels, identifiers, tolerances, compensators, and settings of analyses or
+drawings, which do not describe the lens. Every other command or word that a design cannot represent is
+reported as a loss. The commands follow the CODE V Reference Manual (Synopsys). There, the tilts ADE and BDE
+are left-handed.
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ from typing import Any
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.errors import InputError
 from lensdesign.files.assembly import assemble
-from lensdesign.files.codev_glasses import PrivateGlass
+from lensdesign.files.codev_glasses import PrivateGlass, coded_glass
 from lensdesign.files.draft import (
     MAX_SURFACES,
     NOTE,
@@ -145,6 +149,11 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
     named = list(materials) if isinstance(materials, list) else []
     glass_before = ""
     for i, surface in enumerate(reader.surfaces):
+        if any(surface.terms.values()) and surface.profile != "ASP":
+            draft.add_remark(
+                f"{surface.name}: its coefficients without ASP are read as those of CODE V, A of r^4 to J of "
+                "r^20. Optiland writes no ASP, and its A is that of r^2"
+            )
         edge = i in (0, len(reader.surfaces) - 1)
         dummy = not edge and _is_dummy(surface, glass_before)
         stored = None if edge or dummy or not named else named.pop(0)
@@ -163,6 +172,8 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
         draft.check_object_and_image()
     if reader.unit_mm != 1.0:
         draft.scale_lengths(reader.unit_mm)
+    if reader.surfaces:
+        draft.apply_focus_shift()
     return draft
 
 
@@ -213,19 +224,20 @@ def _material(
 ) -> str | float | None:
     """Return the medium behind a surface: None for air, a glass name, or a constant index."""
     token = surface.glass
-    if not token or token.upper() == "AIR":
-        return None
-    if token.upper() == "REFL":
+    if not token or token.upper() in ("AIR", *_MIRRORS):
         return None
     name, _, maker = token.rpartition("_") if "_" in token else (token, "", "")
     if token.upper() in reader.private_glasses:
         if isinstance(stored, str) and token.startswith(PRIVATE):
             return stored
         return _private_index(reader, surface, reader.private_glasses[token.upper()])
-    model = _model_glass(token, surface.glass_location)
-    if model is not None:
-        reader.draft.add_loss(f"{surface.name}: dispersion of the fictitious glass {token}")
-        return model
+    code = coded_glass(token, surface.glass_location)
+    if code is not None:
+        if code.is_exact_at(reader.draft.wavelengths_um):
+            reader.draft.add_remark(f"{surface.name}: index {code.index:g} of the model glass {token}")
+        else:
+            reader.draft.add_loss(f"{surface.name}: dispersion of the model glass {token}")
+        return code.index
     if isinstance(stored, str) and normalized_name(stored.rpartition(":")[2]) == normalized_name(name):
         return stored
     makers = [maker] if maker else []
@@ -254,19 +266,6 @@ def _private_index(reader: FileReader, surface: FileSurface, glass: PrivateGlass
     return index
 
 
-def _model_glass(token: str, location: str) -> float | None:
-    """Return the d-line index of a glass code (517642, 516800.641700 or 1.5168:64.17); None for a name."""
-    index, _, abbe = token.partition(":")
-    if abbe:
-        parse_number(abbe, location)
-        return parse_number(index, location)
-    if not token.replace(".", "").isdecimal() or not token.isascii():
-        return None
-    whole, _, _ = token.partition(".")
-    digits = whole if "." in token else whole[: len(whole) // 2]
-    return 1.0 + parse_number(f"0.{digits}", location)
-
-
 PRIVATE = "TRANSFERLENS_"
 """Start of the names of private glasses in files that the toolkit writes."""
 
@@ -277,16 +276,22 @@ _ENDLESS = ("INF", "INFINITY")
 
 _WORDS = re.compile(r"""'[^']*'|"[^"]*"|;|!.*|&\s*$|[^\s;!'"&]+|['"&]""")
 
-# Weights, labels, coupling codes and settings of analyses or drawings. They do not describe the lens.
+# Weights, labels, identifiers, coupling codes, apodization, and settings of analyses or drawings. They do not
+# describe the lens.
 _IDLE_WORDS = """
-LEN WTW WTF INI DER DOR CWL POL SLB THC CCY GLC KC XDC YDC ZDC ADC BDC CDC SPH CON ASP GO SET CA FFO IC
-AC BC CC DC EC FC GC HC JC CUC COM XAN YAN XIM YIM XRI YRI LCM BIN
+LEN WTW WTF INI DER DOR CWL POL SLB THC CCY GLC KC XDC YDC ZDC ADC BDC CDC GO SET CA FFO IC
+AC BC CC DC EC FC GC HC JC CUC COM XAN YAN XIM YIM XRI YRI LCM BIN UID CLS CUM THM PUI PUX PUY
 """
 _IDLE = frozenset(_IDLE_WORDS.split())
 
+# Tolerances, compensators and their settings: DLF, DLR, DLT, DLN, DLX, DSX, BTX, TIR, IRR, CYN, CMP, ...
+_TOLERANCES = re.compile(
+    r"DL[A-Z]|DS[A-Z]|DT[A-Z]|DA[XYZK]|BT[A-Z]|CT[XY]|CY[DN]|TI[LR]|TR[XY]|ST[XYZ]|IRR|RSE|HOM|ROL|DIS|CMP|LTO|TOL|TOC"
+)
+
 # Solves and pickups. The file also holds their present values.
 _SOLVE_WORDS = """
-PIM PIY PIX UMY UMX UCY UCX HMY HMX HCY HCX IMY IMX ICY ICX AMY ACY CMY EFY PIK SOL
+PIM PIY PIX UMY UMX UCY UCX HMY HMX HCY HCX IMY IMX ICY ICX AMY ACY CMY EFY EFX OAL RED PIK SOL
 """
 _SOLVES = frozenset(_SOLVE_WORDS.split())
 
@@ -300,15 +305,21 @@ _LOST = {
     "cylinder, toroid or anamorphic asphere": "CYL XTO YTO AAS RDX CUX KX KY",
     "surface given by a table or a program": "SPL SPS SCO UDS UD1 UD2 UD3 FRE FRN NUR",
     "gradient index": "GRI GRN URN UDG",
+    "reflection or total reflection": "RMD REFL TIRO",
+    "telecentric or afocal system": "TEL AFI AFC",
+    "zoom positions": "ZOO",
 }
+
+_MIRRORS = ("REFL", "MIRROR")
+"""Words in the place of a glass for a mirror."""
 
 
 @dataclass
 class FileSurface:
     """Values of one surface, collected from its commands; `kind` is SO, S or SI.
 
-    `given` names the quantities that have a value. `solved` maps a quantity that a solve determines to the
-    words and the location of the solve.
+    `profile` is SPH, CON or ASP if the file states one of them. `given` names the quantities that have a
+    value. `solved` maps a quantity that a solve determines to the words and the location of the solve.
     """
 
     kind: str
@@ -320,6 +331,7 @@ class FileSurface:
     glass_location: str = ""
     conic: float = 0.0
     terms: dict[str, float] = field(default_factory=dict)
+    profile: str = ""
     semi_diameter_mm: float | None = None
     stop: bool = False
     moves: dict[str, float] = field(default_factory=dict)
@@ -394,9 +406,7 @@ def read_command(reader: FileReader, words: list[str], location: str) -> None:
     InputError
         If a required value is missing or invalid.
     """
-    word, values = words[0].upper(), words[1:]
-    if not _known(word) and _known(word[:3]) and word.isalpha():
-        word = word[:3]  # CODE V reads three letters
+    word, values = _keyword(words[0]), words[1:]
     if reader.in_private_block:
         _read_private_glass(reader, words, location)
     elif word in ("SO", "S", "SI") or re.fullmatch(r"S\d+", word):
@@ -404,19 +414,37 @@ def read_command(reader: FileReader, words: list[str], location: str) -> None:
     elif word in _OF_FILE:
         _OF_FILE[word](reader, values, location)
     elif word in _OF_SURFACE:
-        surface, rest = _addressed(reader, values, location)
-        _OF_SURFACE[word](reader, surface, word, rest, location)
+        surfaces, rest = _addressed(reader, values, location)
+        for surface in surfaces:
+            _OF_SURFACE[word](reader, surface, word, rest, location)
     elif word in _SOLVES:
         name = reader.surfaces[-1].name if reader.surfaces else location
         reader.draft.add_remark(f"{name}: {word} solve replaced by its present value")
-    elif word not in _IDLE:
+    elif not _is_idle(word, values):
         name = reader.surfaces[-1].name if reader.surfaces else location.rpartition(", ")[2]
         kind = next((f"{text}, " for text, keys in _LOST.items() if word in keys.split()), "")
         reader.draft.add_loss(f"{name}: {kind}{quoted(' '.join(words))}")
 
 
+def _keyword(text: str) -> str:
+    """Return a command's keyword; of a longer word CODE V reads three letters."""
+    word = text.upper()
+    full = any(word in keys.split() for keys in _LOST.values())
+    return word if full or _known(word) or not (word.isalpha() and _known(word[:3])) else word[:3]
+
+
 def _known(word: str) -> bool:
-    return word in _OF_FILE or word in _OF_SURFACE or word in _SOLVES or word in _IDLE
+    return word in _OF_FILE or word in _OF_SURFACE or word in _SOLVES or _is_idle(word, ())
+
+
+def _is_idle(word: str, values: Sequence[str]) -> bool:
+    """Return whether a command leaves the nominal lens as it is."""
+    if word in _IDLE or _TOLERANCES.fullmatch(word):
+        return True
+    if word in ("TEL", "AFI", "AFC"):
+        return [v.upper() for v in values] in (["N"], ["NO"])
+    # Outlines of edges do not clip rays.
+    return word in ("REX", "REY", "ELX", "ELY", "ADX", "ADY", "ARO") and "EDG" in [v.upper() for v in values]
 
 
 def _read_private_glass(reader: FileReader, words: list[str], location: str) -> None:
@@ -467,18 +495,31 @@ def _solved(
     return False
 
 
-def _addressed(reader: FileReader, values: list[str], location: str) -> tuple[FileSurface, list[str]]:
-    """Return the surface that a command names (such as S2), or the last one; and the remaining words."""
-    named = re.fullmatch(r"[Ss](\d{1,6}|[OoIi])", values[0]) if values else None
+_ADDRESS = re.compile(r"S(\d{1,6}|[OISA])([+-]\d{1,6})?(?:\.\.S?(\d{1,6}|[OIS])([+-]\d{1,6})?)?")
+
+
+def _addressed(reader: FileReader, values: list[str], location: str) -> tuple[list[FileSurface], list[str]]:
+    """Return the surfaces that a command names (S2, S2..4), or the last one; and the remaining words."""
+    named = _ADDRESS.fullmatch(values[0].upper()) if values else None
     if named is None:
         if not reader.surfaces:
             raise InputError(f"{location}: a command of a surface before the first surface")
-        return reader.surfaces[-1], values
-    key = named[1].upper()
-    index = {"O": 0, "I": len(reader.surfaces) - 1}.get(key, int(key) if key.isdecimal() else 0)
-    if not 0 <= index < len(reader.surfaces):
+        return [reader.surfaces[-1]], values
+    last = len(reader.surfaces) - 1
+    stops = [i for i, surface in enumerate(reader.surfaces) if surface.stop]
+
+    def index(key: str, offset: str | None) -> int:
+        start = {"O": 0, "I": last, "S": stops[0] if stops else -1}.get(key)
+        return -1 if start == -1 else (int(key) if start is None else start) + int(offset or 0)
+
+    if named[1] == "A":
+        first, end = 0, last
+    else:
+        first = index(named[1], named[2])
+        end = first if named[3] is None else index(named[3], named[4])
+    if not 0 <= first <= end <= last:
         raise InputError(f"{location}: there is no surface {quoted(values[0])} yet")
-    return reader.surfaces[index], values[1:]
+    return reader.surfaces[first : end + 1], values[1:]
 
 
 def _start_surface(reader: FileReader, word: str, values: list[str], location: str) -> None:
@@ -502,7 +543,8 @@ def _start_surface(reader: FileReader, word: str, values: list[str], location: s
         if value and not reader.gives_radii:
             surface.radius_mm = _inverse(value, location)
     if len(values) > 1:
-        _thickness(reader, surface, "THI", values[1:], location)
+        is_solve = values[1].upper() in _SOLVES
+        _thickness(reader, surface, "THI", values[1:] if is_solve else values[1:2], location)
     if len(values) > 2:
         _glass(reader, surface, "GLA", values[2:], location)
 
@@ -527,10 +569,20 @@ def _value(values: Sequence[str], location: str) -> float:
     return parse_number(values[0], location)
 
 
+def _value_of(
+    reader: FileReader, surface: FileSurface, word: str, values: Sequence[str], location: str
+) -> float:
+    """Return the value of a command of a surface; words behind it are a loss."""
+    if len(values) > 1:
+        reader.draft.add_loss(f"{surface.name}: {quoted(' '.join(values[1:]))} behind the value of {word}")
+    return _value(values, location)
+
+
 def _radius(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
     if _solved(reader, surface, "radius", values, location):
         return
-    value = _finite_or_plane(values[0], location) if values else _value(values, location)
+    is_plane = bool(values) and values[0].upper() in _ENDLESS
+    value = 0.0 if is_plane else _value_of(reader, surface, word, values, location)
     surface.radius_mm = value or None
     if value and word == "CUY":
         surface.radius_mm = _inverse(value, location)
@@ -540,7 +592,7 @@ def _thickness(reader: FileReader, surface: FileSurface, word: str, values: list
     if _solved(reader, surface, "thickness", values, location):
         return
     endless = bool(values) and values[0].upper() in _ENDLESS
-    value = math.inf if endless else _value(values, location)
+    value = math.inf if endless else _value_of(reader, surface, word, values, location)
     # Distance from which CODE V treats the object as infinitely far.
     infinite_mm = 1e10
     surface.thickness_mm = math.inf if value >= infinite_mm else value
@@ -549,19 +601,38 @@ def _thickness(reader: FileReader, surface: FileSurface, word: str, values: list
 def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
     if not values:
         raise InputError(f"{location}: a glass without its name")
-    surface.glass, surface.glass_location = values[0].strip("'\""), f"{location} ({surface.name})"
-    if surface.glass.upper() == "REFL":
+    name, *rest = values
+    if _is_number(name) and rest and _is_number(rest[0]):  # a model glass in two words: 1.5168 64.17
+        name, *rest = f"{name}:{rest[0]}", *rest[1:]
+    surface.glass, surface.glass_location = name.strip("'\""), f"{location} ({surface.name})"
+    if _MIRRORS[0] in (surface.glass.upper(), *(word.upper() for word in rest)) or (
+        surface.glass.upper() in _MIRRORS
+    ):
         reader.draft.add_loss(f"{surface.name}: mirror, read as a surface in air")
+        surface.glass, rest = "AIR", [word for word in rest if word.upper() != _MIRRORS[0]]
+    rest = [word for word in rest if word.upper() != "REFR"]  # refraction is the default
+    if rest:
+        reader.draft.add_loss(f"{surface.name}: {quoted(' '.join(rest))} behind the glass {surface.glass}")
+
+
+def _is_number(text: str) -> bool:
+    return text[:1] in "+-." or text[:1].isdigit()
 
 
 def _conic(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
     if not _solved(reader, surface, "conic constant", values, location):
-        surface.conic = _value(values, location)
+        surface.conic = _value_of(reader, surface, word, values, location)
 
 
 def _term(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
     if not _solved(reader, surface, f"asphere term {word}", values, location):
-        surface.terms[word] = _value(values, location)
+        surface.terms[word] = _value_of(reader, surface, word, values, location)
+
+
+def _profile(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    surface.profile = word
+    if values:
+        reader.draft.add_loss(f"{surface.name}: {quoted(' '.join([word, *values]))}")
 
 
 def _aperture(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
@@ -586,7 +657,7 @@ def _stop(reader: FileReader, surface: FileSurface, word: str, values: list[str]
 
 def _move(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
     if not _solved(reader, surface, word, values, location):
-        surface.moves[word] = _value(values, location)
+        surface.moves[word] = _value_of(reader, surface, word, values, location)
 
 
 def _move_kind(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
@@ -605,6 +676,7 @@ _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, str, list[str], str], 
     "CIR": _aperture,
     "CUF": _fresnel,
     "STO": _stop,
+    **dict.fromkeys(("SPH", "CON", "ASP"), _profile),
     **dict.fromkeys(CODEV_LETTERS, _term),
     **dict.fromkeys(("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"), _move),
     **dict.fromkeys(("DAR", "REV", "BEN", "RET", "GLB"), _move_kind),
@@ -631,11 +703,15 @@ def _dimension(reader: FileReader, values: list[str], location: str) -> None:
 
 
 def _title(reader: FileReader, values: list[str], location: str) -> None:
+    if values and re.fullmatch(r"Z\d+", values[0].upper()):  # title of a zoom position
+        return
     reader.title = " ".join(" ".join(v.strip("'\"") for v in values).split())
 
 
 def _aperture_kind(kind: str) -> Callable[[FileReader, list[str], str], None]:
     def read(reader: FileReader, values: list[str], location: str) -> None:
+        if len(values) > 1:
+            reader.draft.add_loss(f"{quoted(' '.join(values[1:]))} behind the value of the system aperture")
         reader.draft.aperture = (kind, _value(values, location))
 
     return read

@@ -1,7 +1,9 @@
-"""Private glasses of CODE V files, given by indices at some wavelengths or by a dispersion formula.
+"""Glasses of CODE V files that no catalogue has: glass codes, and private glasses.
 
-The formulas are those of the CODE V Lens System Setup Reference Manual, "Dispersion formulae". The wavelength
-w is in um.
+A glass code states the index at the d line and the Abbe number: 517642, 516800.641700 (the digits of 1.5168
+and 64.17), or 1.5168:64.17. A private glass is given by indices at some wavelengths or by a dispersion
+formula. The formulas are those of the CODE V Lens System Setup Reference Manual, "Dispersion formulae". The
+wavelength w is in um.
 
 - Laurent (LAU) and Glass Manufacturer Laurent (GML): n^2 is a sum of even powers of w.
 - Glass Manufacturer Sellmeier (GMS): n^2 = 1 + sum B w^2 / (w^2 - C), with coefficients B1 C1 B2 C2 ...
@@ -13,6 +15,7 @@ A surface whose glass has another formula raises an error.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -48,6 +51,53 @@ FORMULAS: dict[str, tuple[str, int, Formula]] = {
 """Dispersion formulas by keyword: name, maximum number of coefficients, n(coefficients, wavelength_um)."""
 
 
+D_LINE_NM = 587.5618
+
+
+@dataclass(frozen=True)
+class CodedGlass:
+    """Index of a glass code at the d line, and its Abbe number (0: no dispersion)."""
+
+    index: float
+    abbe: float
+
+    def is_exact_at(self, wavelengths_um: Sequence[float]) -> bool:
+        """Return whether the index is that of the glass at all of the wavelengths."""
+        same_line_nm = 0.1  # files give the same spectral line with different numbers of digits
+        return not self.abbe or all(abs(1000.0 * w - D_LINE_NM) <= same_line_nm for w in wavelengths_um)
+
+
+def coded_glass(token: str, location: str) -> CodedGlass | None:
+    """Return the glass of a code (517642, 516800.641700 or 1.5168:64.17); None for the name of a glass.
+
+    Raises
+    ------
+    InputError
+        If the code has another number of digits, or if its index or Abbe number is not that of a glass.
+    """
+    index_text, colon, abbe_text = token.partition(":")
+    if colon:
+        index, abbe = parse_number(index_text, location), parse_number(abbe_text, location)
+    elif re.fullmatch(r"[1-9]\d{5}", token, re.ASCII):
+        index, abbe = 1.0 + int(token[:3]) / 1000.0, int(token[3:]) / 10.0
+    elif code := re.fullmatch(r"([1-9]\d{2,})\.(\d{3,})", token, re.ASCII):
+        index, abbe = 1.0 + float(f"0.{code[1]}"), float(f"{code[2][:2]}.{code[2][2:]}")
+    elif re.fullmatch(r"[+-]?[\d.]+([eEdD][+-]?\d+)?", token, re.ASCII):
+        raise InputError(
+            f"{location}: {quoted(token)} is no glass code; write the index at 587.56 nm and the Abbe number "
+            "as 517642, 516800.641700, 1.5168:64.17 or 1.5168 64.17"
+        )
+    else:
+        return None
+    largest_index, largest_abbe = 10.0, 150.0  # no transparent medium exceeds them
+    if not (1.0 <= index <= largest_index and 0.0 <= abbe <= largest_abbe):
+        raise InputError(
+            f"{location}: the glass {quoted(token)} has an index of {index:g} and an Abbe number of "
+            f"{abbe:g}; allowed are 1 to {largest_index:g} and 0 to {largest_abbe:g}"
+        )
+    return CodedGlass(index, abbe)
+
+
 @dataclass(frozen=True)
 class PrivateGlass:
     """Text that defines a private glass; it is interpreted only if a surface has this glass.
@@ -60,7 +110,7 @@ class PrivateGlass:
         Words that follow the name.
     wavelengths
         Words of the preceding PWL command: wavelengths in nm.
-    where
+    location
         File and line.
     """
 

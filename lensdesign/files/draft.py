@@ -324,6 +324,24 @@ class Draft:
         if self.rows[0].material is not None:
             self.add_loss(f"{self.rows[0].name}: object in {self.rows[0].material}, read as air")
 
+    def apply_focus_shift(self) -> None:
+        """Add the thickness of the image surface, which is a focus shift, to the distance in front of it."""
+        shift_mm = self.rows[-1].thickness_mm
+        if not shift_mm or len(self.rows) < 2:
+            return
+        self.add_remark(f"{self.rows[-1].name}: moved by its thickness, a focus shift of {shift_mm:.8g} mm")
+        before, image = self.rows[-2:]
+        self.rows[-2:] = [
+            replace(before, thickness_mm=before.thickness_mm + shift_mm),
+            replace(image, thickness_mm=0.0),
+        ]
+        if len(self.recorded) > 1:
+            last, end = self.recorded[-2:]
+            self.recorded[-2:] = [
+                replace(last, distance_mm=last.distance_mm + shift_mm),
+                replace(end, distance_mm=0.0),
+            ]
+
     def scale_lengths(self, factor: float) -> None:
         """Multiply all lengths by the length of the file's unit in mm."""
         self.rows = [row.scaled(factor) for row in self.rows]

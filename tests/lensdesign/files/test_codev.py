@@ -196,7 +196,7 @@ LOSSES = [
     ("CIR 5.0", "CIR 5.0; DIF GRT", "surface 4: diffractive surface, 'DIF GRT'"),
     ("VUX   0.0", "VUX   0.1", "vignetting factors"),
     ("SI    0.0", "SI    99.0", "surface 7: curved image surface"),
-    ("DOR", "ZOO 3; DOR", "line 15: 'ZOO 3'"),
+    ("DOR", "ZOO 3; DOR", "line 15: zoom positions, 'ZOO 3'"),
     ("DOR", "TEM 40; DOR", "temperature of '40' degrees C"),
     ("DOR", "PRE 0; DOR", "pressure of '0' mmHg"),
 ]
@@ -447,3 +447,148 @@ def test_lengths_in_other_units_become_mm(
         assert surface.asphere == pytest.approx(one.asphere, rel=1e-13)
         assert (surface.thickness_mm or 0.0) == pytest.approx(one.thickness_mm or 0.0, rel=1e-13)
         assert surface.semi_diameter_mm == pytest.approx(one.semi_diameter_mm, rel=1e-13)
+
+
+IMPORTS = GOLDEN / "imports"
+
+
+def test_a_model_glass_of_two_words_is_index_and_abbe_number() -> None:
+    """The lensmaker's equation with n = 1.5168: f = 49.213 mm, exact at the only wavelength, the d line."""
+    result = read_seq(IMPORTS / "nd_vd.seq", SUPPLEMENT)
+    assert (result.lens.surfaces[0].material, result.dropped) == (1.5168, ())
+    power = 0.5168 * (2.0 / 50.0 - 0.5168 * 5.0 / (1.5168 * 50.0**2))
+    assert result.first_order is not None
+    assert result.first_order.efl_mm == pytest.approx(1.0 / power, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "index"),
+    [
+        ("517642", 1.517),
+        ("517.642", 1.517),
+        ("516800.641700", 1.5168),
+        ("1.5168:64.17", 1.5168),
+        ("1.5168 64.17", 1.5168),
+        ("'1.5168:64.17'", 1.5168),
+        ("2.022 29.1", 2.022),
+    ],
+)
+def test_every_form_of_a_glass_code_has_the_index_it_states(tmp_path: Path, words: str, index: float) -> None:
+    text = ASPHERE.replace("'NBK7_SCHOTT'", words)
+    for given in (text, text.replace(f" {words}\n", f"\n  GLA S1 {words}\n")):
+        result = read_seq(saved(tmp_path, given), SENSOR)
+        assert result.lens.surfaces[0].material == pytest.approx(index, abs=1e-12)
+        assert result.dropped == ()
+        for wavelengths in ("550", "587.5618 486.1 656.3"):
+            with pytest.raises(LossyImportError, match="surface 1: dispersion of the model glass"):
+                read_seq(saved(tmp_path, given.replace("WL 587.5618", f"WL {wavelengths}")), SENSOR)
+
+
+@pytest.mark.parametrize(
+    "words", ["51764", "5176420", "1.5168", "0.5168:64", "64.17:1.5", "022291", "517642."]
+)
+def test_a_number_that_is_no_glass_code_is_refused(tmp_path: Path, words: str) -> None:
+    with pytest.raises(InputError, match=r"line 7 \(surface 1\): .*(no glass code|allowed are)"):
+        read_seq(saved(tmp_path, ASPHERE.replace("'NBK7_SCHOTT'", words)), SENSOR, lossy=True)
+
+
+def test_the_thickness_of_the_image_surface_moves_the_sensor(tmp_path: Path) -> None:
+    result = read_seq(IMPORTS / "focus_shift.seq", SENSOR)
+    assert result.lens.sensor.plane_distances_mm == (pytest.approx(63.1717, abs=1e-12),)
+    assert result.dropped == ()
+    text = (IMPORTS / "focus_shift.seq").read_text()
+    for other in ("SI 0 0\nTHI SI -0.25\n", "SI 0 0\nTHI -0.25\n"):
+        found = read_seq(saved(tmp_path, text.replace("SI    0.0 -0.25\n", other)), SENSOR)
+        assert found.lens == result.lens
+    inches = read_seq(saved(tmp_path, text.replace("DIM   M", "DIM I")), SENSOR).lens
+    assert inches.sensor.plane_distances_mm == (pytest.approx(25.4 * 63.1717, rel=1e-12),)
+
+
+def test_the_focus_shift_of_a_tilted_lens_moves_the_sensor_alone(tmp_path: Path, paper_lens: Lens) -> None:
+    pose = Pose(decenter_y_mm=0.1, tilt_x_deg=0.5, pivot_z_mm=4.0)
+    path = tmp_path / "pose.seq"
+    write_seq(paper_lens, path, pose)
+    path.write_text(path.read_text().replace("SI 0.0 0.0", "SI 0.0 0.5"))
+    result = read_seq(path, lossy=True)
+    assert result.pose == pose
+    planes = (paper_lens.sensor.plane_distances_mm[0], result.lens.sensor.plane_distances_mm[0])
+    assert planes[1] - planes[0] == pytest.approx(0.5, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["uid.seq", "tolerances.seq"])
+def test_identifiers_and_tolerances_change_nothing(tmp_path: Path, name: str) -> None:
+    lines = (IMPORTS / name).read_text().splitlines()
+    kept = [line for line in lines if line[:3] not in ("UID", "DLF", "DLR", "TIR")]
+    assert len(kept) < len(lines)
+    assert read_seq(IMPORTS / name, SUPPLEMENT) == read_seq(saved(tmp_path, "\n".join(kept)), SUPPLEMENT)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "DLF S1 0.5; DLR SA 0.02; DLC S1 1e-5; DLT S1..2 0.02; DLN S1 0.0005; DLV S1 0.008; DLS S1 0.01",
+        "DLX S1 0.01; DLY S1 0.01; DLZ S1 0.01; DSX S1..2 0.01; DSY S1..2 0.01; DSZ S1..2 0.01",
+        "TIR S1 0.01; IRR S1 0.5; CYN S1 0.5; CYD S1 0.5; TRX S1 0.01; BTX S1..2 0.001; BTY S1..2 0.001",
+        "ROL S1..2 0.01; TIL S1..2 0.001; DIS S1..2 0.01; RSE S1 0.05; CMP DLZ SI 1.0",
+        "SLB \"front\"; COM 'a; comment'; CLS WVL RUS GRE BLU; CUM 0.0; THM 1.0; PUI 0.135; TEL N; POL N",
+        "CIR EDG 12; REX EDG 12; REY EDG 12; ADY EDG 1",
+        "THI S2 OAL S1..2 32.0",
+    ],
+)
+def test_commands_that_do_not_describe_the_nominal_lens_are_ignored(tmp_path: Path, command: str) -> None:
+    plain = read_seq(saved(tmp_path, ASPHERE), SENSOR)
+    result = read_seq(saved(tmp_path, ASPHERE + command + "\n"), SENSOR)
+    assert (result.lens, result.dropped) == (plain.lens, ())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "loss"),
+    [
+        ("'NBK7_SCHOTT'", "NBK7_SCHOTT REFL", "surface 1: mirror"),
+        ("'NBK7_SCHOTT'", "MIRROR", "surface 1: mirror"),
+        ("'NBK7_SCHOTT'", "NBK7_SCHOTT TIRO", "surface 1: 'TIRO' behind the glass"),
+        ("'NBK7_SCHOTT'", "1.5168 64.17 0.01", "surface 1: '0.01' behind the glass"),
+        ("'NBK7_SCHOTT'", "NBK7_SCHOTT\n RMD TIRO", "surface 1: reflection or total reflection, 'RMD TIRO'"),
+        ("'NBK7_SCHOTT'", "NBK7_SCHOTT\n TIRO", "reflection or total reflection, 'TIRO'"),
+        ("NAO 0.1", "NAO 0.1 0.2", "'0.2' behind the value of the system aperture"),
+        ("K -0.6265", "K -0.6265 3", "surface 1: '3' behind the value of K"),
+        ("NAO 0.1", "NAO 0.1; TEL Y", "telecentric or afocal system, 'TEL Y'"),
+        ("SI 0 0", "SI 0 0\nDEF 0.1", "surface 3: 'DEF 0.1'"),
+    ],
+)
+def test_words_that_change_the_lens_are_losses(tmp_path: Path, old: str, new: str, loss: str) -> None:
+    assert old in ASPHERE
+    with pytest.raises(LossyImportError, match=loss):
+        read_seq(saved(tmp_path, ASPHERE.replace(old, new)), SENSOR)
+
+
+@pytest.mark.parametrize(
+    ("command", "radii"),
+    [
+        ("RDY S2 80", (10.462, 80.0)),
+        ("RDY SI-1 80", (10.462, 80.0)),
+        ("RDY SS+1 80", (10.462, 80.0)),
+        ("RDY S1..2 80", (80.0, 80.0)),
+        ("RDY S1..SI-1 80", (80.0, 80.0)),
+    ],
+)
+def test_commands_name_their_surfaces(tmp_path: Path, command: str, radii: tuple[float, ...]) -> None:
+    lens = read_seq(saved(tmp_path, f"{ASPHERE}{command}\n"), SENSOR).lens
+    assert tuple(s.radius_mm for s in lens.surfaces) == radii
+
+
+@pytest.mark.parametrize(
+    "command", ["RDY S9 80", "RDY S1..9 80", "RDY S2..1 80", "RDY SI+1 80", "RDY S1.. 80"]
+)
+def test_surfaces_that_do_not_exist_are_refused(tmp_path: Path, command: str) -> None:
+    with pytest.raises(InputError, match=r"line 13: (there is no surface|'S1\.\.' must be)"):
+        read_seq(saved(tmp_path, f"{ASPHERE}{command}\n"), SENSOR)
+
+
+def test_letters_without_asp_have_a_remark(tmp_path: Path) -> None:
+    """Other programs write none, and mean other powers."""
+    plain = read_seq(saved(tmp_path, ASPHERE), SENSOR)
+    assert not any("without ASP" in remark for remark in plain.remarks)
+    result = read_seq(saved(tmp_path, ASPHERE.replace("ASP; ", "")), SENSOR)
+    assert result.lens == plain.lens
+    assert any("surface 1: its coefficients without ASP" in remark for remark in result.remarks)
