@@ -809,11 +809,11 @@ def write_seq(
     check_writable(lens, pose, lambda shape: shape.codev(), "a .seq file")
     for note in omissions(lens, "a .seq file"):
         warn(note)
-    half = 0.5 * lens.object.field_diameter_mm
+    half, title = 0.5 * lens.object.field_diameter_mm, plain_title(lens.title, QUOTES)
     lines = [
         "RDM;LEN",
         *(f"! {line}" for line in note_lines(lens, pose, target.parent)),
-        f"TITLE '{plain_title(lens.title, QUOTES)}'",
+        *([f"TITLE '{title}'"] if title else []),
         f"NAO {lens.object.numerical_aperture!r}",
         "DIM M",
         "WL " + " ".join(str(Decimal(repr(w)) * 1000) for w in lens.wavelengths_um),

@@ -592,3 +592,12 @@ def test_letters_without_asp_have_a_remark(tmp_path: Path) -> None:
     result = read_seq(saved(tmp_path, ASPHERE.replace("ASP; ", "")), SENSOR)
     assert result.lens == plain.lens
     assert any("surface 1: its coefficients without ASP" in remark for remark in result.remarks)
+
+
+@pytest.mark.parametrize("title", ["", "''", "\t"])
+def test_no_title_is_written_if_there_is_none(tmp_path: Path, paper_lens: Lens, title: str) -> None:
+    path = tmp_path / "untitled.seq"
+    lens = paper_lens.replaced(title=title)
+    write_seq(lens, path)
+    assert "TITLE" not in path.read_text()
+    assert read_seq(path).lens == lens
