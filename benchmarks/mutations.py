@@ -82,8 +82,14 @@ MUTATIONS = (
     Mutation(
         "Eq. 2: pixels resolve 1 / pitch",
         "lensdesign/analysis/space_bandwidth.py",
+        "return min(1.0, wavelength_um / (2.0 * medium_index * pixel_pitch_um))",
+        "return min(1.0, wavelength_um / (medium_index * pixel_pitch_um))",
+    ),
+    Mutation(
+        "Eq. 2: the limit of air in every medium",
+        "lensdesign/analysis/space_bandwidth.py",
+        "return min(1.0, wavelength_um / (2.0 * medium_index * pixel_pitch_um))",
         "return min(1.0, wavelength_um / (2.0 * pixel_pitch_um))",
-        "return min(1.0, wavelength_um / pixel_pitch_um)",
     ),
     Mutation(
         "Eq. 2: the angle to one axis only",

@@ -164,7 +164,10 @@ def _trace(lens: Lens, wavelength_um: float, refined: bool) -> _Traced:
     _, rim = launch(lens, [0.0, 0.0], [0.0, 1.0], wavelength_um)
     beam = 2.0 * at_exit.radius_mm
     narrowest = smallest_exit_beam_diameter_mm(
-        lens.object.field_diameter_mm, lens.object.numerical_aperture, capped_sine(spread.spread_deg)
+        lens.object.field_diameter_mm,
+        lens.object.numerical_aperture,
+        capped_sine(spread.spread_deg),
+        lens.sensor_medium_index(wavelength_um),
     )
     row = WavelengthCheck(
         wavelength_um=wavelength_um,

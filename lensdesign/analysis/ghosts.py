@@ -14,7 +14,7 @@ import numpy as np
 
 from lensdesign.analysis.double_reflections import has_ideal_coatings
 from lensdesign.analysis.paraxial import FirstOrder, cardinal_points
-from lensdesign.analysis.space_bandwidth import spread_limit_sine
+from lensdesign.analysis.space_bandwidth import sensor_spread_sine
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -180,7 +180,7 @@ def _on_plane(
     direct_y, direct_sine, direct_irradiance = _fan(lens, direct, direct, field_mm, distance_mm)
     overlap = (y >= direct_y[0]) & (y <= direct_y[-1])
     difference = np.abs(sine - np.interp(y, direct_y, direct_sine))
-    resolved = overlap & (difference < spread_limit_sine(wavelength_um, lens.sensor.pixel_pitch_um))
+    resolved = overlap & (difference < sensor_spread_sine(lens, wavelength_um))
     ends = float(y[0]), float(y[-1])
     if not np.any(resolved):
         return GhostOnPlane(field_mm, distance_mm, *ends, None, None, None, None)

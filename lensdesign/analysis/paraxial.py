@@ -22,8 +22,11 @@ class FirstOrder:
 
     Attributes
     ----------
+    power_per_mm
+        Power; 0 for an afocal lens, and positive for a converging lens.
     efl_mm
-        Effective focal length, 1 / power; positive for a converging lens.
+        Effective focal length in the medium behind the lens, index / power: from the rear principal plane to
+        the rear focal point.
     bfl_mm
         Back focal length, from the last vertex to the rear focal point.
     ffl_mm
@@ -33,6 +36,7 @@ class FirstOrder:
         z of the principal planes, from the front vertex.
     """
 
+    power_per_mm: float
     efl_mm: float
     bfl_mm: float
     ffl_mm: float
@@ -86,9 +90,10 @@ def cardinal_points(curvatures: ArrayLike, thicknesses_mm: ArrayLike, indices: A
         matrix = np.array([[1.0, 0.0], [-(n[i + 1] - n[i]) * c[i], 1.0]]) @ matrix
     (a, _), (minus_power, d) = matrix
     if minus_power == 0.0:
-        return FirstOrder(math.inf, math.inf, math.inf, math.inf, math.inf)
+        return FirstOrder(0.0, math.inf, math.inf, math.inf, math.inf, math.inf)
     return FirstOrder(
-        efl_mm=float(-1.0 / minus_power),
+        power_per_mm=float(-minus_power),
+        efl_mm=float(-n[-1] / minus_power),
         bfl_mm=float(-n[-1] * a / minus_power),
         ffl_mm=float(n[0] * d / minus_power),
         front_principal_z_mm=float(n[0] * (d - 1.0) / minus_power),

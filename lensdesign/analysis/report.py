@@ -122,7 +122,7 @@ class CheckReport:
         (:mod:`lensdesign.analysis.oversampling`).
     spread_limit_deg, max_spread_deg
         Largest angle to the axis that the pixels can sample, and largest angle of all rays behind the lens
-        (Eq. 2); both at the wavelength of `worst_ray`.
+        (Eq. 2); both in the medium in front of the sensor, at the wavelength of `worst_ray`.
     spread_heights_mm, spread_per_field_deg
         Field heights, and the largest angle of the rays from each of them, at the same wavelength.
     worst_ray
@@ -148,13 +148,14 @@ class CheckReport:
     drawn_edge
         Thinnest edge at the ground diameters of the drawing; None without glass.
     efl_mm, bfl_mm
-        Effective and back focal length at the first wavelength; inf for an afocal lens.
+        Effective and back focal length at the first wavelength, in the medium behind the lens; inf for an
+        afocal lens.
     exit_beam_diameter_mm, smallest_exit_beam_diameter_mm
         Diameter of the beam in the plane of the exit vertex, and smallest diameter for which etendue allows
         the spread limit.
     etendue_share
         Fraction of the phase space of the exit beam that the light fills, at most 1: field diameter x NA /
-        (exit beam diameter x sine of the spread), at the wavelength of `worst_ray`.
+        (exit beam diameter x index x sine of the spread), at the wavelength of `worst_ray`.
     wavelengths
         Results at each wavelength.
     figures

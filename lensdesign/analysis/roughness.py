@@ -44,7 +44,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.analysis.space_bandwidth import spread_limit_sine
+from lensdesign.analysis.space_bandwidth import sensor_spread_sine
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
@@ -359,7 +359,7 @@ def roughness_report(
         )
     power = sum(p for p, _, _ in widths) or 1.0
     halo = np.sqrt(np.sum([p * radii**2 for p, _, radii in widths], axis=0) / power)
-    limit = spread_limit_sine(wavelength, lens.sensor.pixel_pitch_um)
+    limit = sensor_spread_sine(lens, wavelength)
     resolved = [_resolved(sine, limit) for _, sine, _ in widths]
     resolved_fraction = sum(p * r for (p, _, _), r in zip(widths, resolved, strict=True)) / power
     mean_fraction = float(np.sum(of_point * total) / of_point.sum())

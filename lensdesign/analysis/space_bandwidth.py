@@ -2,7 +2,9 @@
 
 The paper's Eq. 1 is pi (D/2)^2 pi (1/(2 pitch))^2 >= SBP of the object. Its Eq. 2 is
 sqrt(cos^2 tx + cos^2 ty) / wavelength <= 1 / (2 pitch), with the angles tx and ty to the x and y axes. The
-numerator is the sine of the angle to the optical axis.
+numerator is the sine of the angle to the optical axis. The wavelength in Eq. 2 is that in the medium in front
+of the sensor: the vacuum wavelength divided by the index of the medium. The index times the sine is the same
+on both sides of a plane face, so that a plane window in front of the sensor changes no fringes.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ class Matching:
     sbp_ratio
         `sbp_sensor` / `sbp_object`; Eq. 1 requires 1 or more.
     spread_limit_deg
-        Largest angle to the axis behind the lens that the pixels resolve (Eq. 2).
+        Largest angle to the axis that the pixels resolve, in the medium in front of the sensor (Eq. 2).
     highest_frequency_lp_per_mm
         Highest frequency of the pixels, 1 / (2 pitch).
     resolution_um
@@ -65,26 +67,57 @@ def highest_frequency_lp_per_mm(pixel_pitch_um: float) -> float:
     return 1.0 / (2.0 * pixel_pitch_um * 1e-3)
 
 
-def spread_limit_sine(wavelength_um: float, pixel_pitch_um: float) -> float:
-    """Return the sine of the spread-angle limit, wavelength / (2 pitch), at most 1 (Eq. 2).
+def spread_limit_sine(wavelength_um: float, pixel_pitch_um: float, medium_index: float = 1.0) -> float:
+    """Return the sine of the spread-angle limit, wavelength / (2 index pitch), at most 1 (Eq. 2).
+
+    Parameters
+    ----------
+    wavelength_um
+        Vacuum wavelength.
+    pixel_pitch_um
+        Pixel pitch.
+    medium_index
+        Index of the medium in front of the sensor, in which the angle is measured (default: air).
 
     Examples
     --------
     >>> round(spread_limit_sine(0.55, 3.2), 4)
     0.0859
+    >>> round(spread_limit_sine(0.55, 3.2, 1.333), 4)
+    0.0645
     """
-    return min(1.0, wavelength_um / (2.0 * pixel_pitch_um))
+    return min(1.0, wavelength_um / (2.0 * medium_index * pixel_pitch_um))
+
+
+def sensor_spread_sine(lens: Lens, wavelength_um: float) -> float:
+    """Return the sine of the spread-angle limit of a lens, in the medium in front of its sensor (Eq. 2).
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    wavelength_um
+        Vacuum wavelength.
+
+    Raises
+    ------
+    MaterialError
+        If the index of the medium is not known at this wavelength.
+    """
+    return spread_limit_sine(
+        wavelength_um, lens.sensor.pixel_pitch_um, lens.sensor_medium_index(wavelength_um)
+    )
 
 
 def smallest_exit_beam_diameter_mm(
-    field_diameter_mm: float, numerical_aperture: float, spread_sine: float
+    field_diameter_mm: float, numerical_aperture: float, spread_sine: float, medium_index: float = 1.0
 ) -> float:
     """Return the diameter of the narrowest beam that carries the field within a spread (Lagrange bound).
 
-    In a meridional plane, a beam of diameter D and spread t occupies at most D x 2 sin t of phase space. The
-    light of the object occupies field x 2 NA, which refraction conserves.
+    In a meridional plane, a beam of diameter D and spread t in a medium of index n occupies at most
+    D x 2 n sin t of phase space. The light of the object occupies field x 2 NA, which refraction conserves.
     """
-    return field_diameter_mm * numerical_aperture / spread_sine
+    return field_diameter_mm * numerical_aperture / (medium_index * spread_sine)
 
 
 def match(lens: Lens, wavelength_um: float) -> Matching:
@@ -105,6 +138,8 @@ def match(lens: Lens, wavelength_um: float) -> Matching:
     ------
     DesignError
         If the values of object or sensor are so small that the products underflow.
+    MaterialError
+        If the index of the medium in front of the sensor is not known at this wavelength.
 
     Examples
     --------
@@ -126,7 +161,7 @@ def match(lens: Lens, wavelength_um: float) -> Matching:
             f"{wavelength_um:g} µm give no space-bandwidth product (Eq. 1): one of these values is far too "
             "small"
         ) from None
-    sine = spread_limit_sine(wavelength_um, sensor.pixel_pitch_um)
+    sine = sensor_spread_sine(lens, wavelength_um)
     return Matching(
         wavelength_um=wavelength_um,
         sbp_object=required,
@@ -136,6 +171,9 @@ def match(lens: Lens, wavelength_um: float) -> Matching:
         highest_frequency_lp_per_mm=highest_frequency_lp_per_mm(sensor.pixel_pitch_um),
         resolution_um=wavelength_um / (2.0 * target.numerical_aperture),
         smallest_exit_beam_diameter_mm=smallest_exit_beam_diameter_mm(
-            target.field_diameter_mm, target.numerical_aperture, sine
+            target.field_diameter_mm,
+            target.numerical_aperture,
+            sine,
+            lens.sensor_medium_index(wavelength_um),
         ),
     )

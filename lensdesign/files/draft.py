@@ -113,7 +113,7 @@ class ImportedFirstOrder:
     Attributes
     ----------
     efl_mm, bfl_mm
-        Effective and back focal length in mm; inf for an afocal lens.
+        Effective and back focal length in mm, in the medium behind the lens; inf for an afocal lens.
     magnification
         Transverse magnification of the object at the working distance; inf for an image at infinity.
     image_distance_mm

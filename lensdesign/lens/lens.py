@@ -364,6 +364,20 @@ class Lens(FrozenModel):
             ]
         )
 
+    def sensor_medium_index(self, wavelength_um: float) -> float:
+        """Return the index of the medium in which light reaches the recording planes; 1 for air.
+
+        With a cover glass, it is that of the air in front of the glass. A plane plate does not change the
+        product of index and sine of an angle, which determines the fringes on the pixels.
+
+        Raises
+        ------
+        MaterialError
+            If the material is unknown, or the wavelength lies outside the range for which it is known.
+        """
+        medium = self.surfaces[-1].material
+        return 1.0 if medium is None else refractive_index(medium, wavelength_um, self.glass_catalogs)
+
     def cover_glass_index(self, wavelength_um: float) -> float:
         """Return the refractive index of the sensor's cover glass; 1 without one.
 

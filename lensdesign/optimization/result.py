@@ -10,6 +10,7 @@ import numpy as np
 
 from lensdesign.analysis.double_reflections import ghost_paths
 from lensdesign.analysis.report import CheckReport, WavelengthCheck
+from lensdesign.analysis.space_bandwidth import sensor_spread_sine
 from lensdesign.common.deadlines import deadline, now
 from lensdesign.common.notebook import html_table
 from lensdesign.common.text import finite_or_none, number_with_unit
@@ -49,7 +50,7 @@ class WavelengthSpread:
     wavelength_um
         Vacuum wavelength.
     spread_deg, limit_deg
-        Largest spread angle, and the limit of the sensor.
+        Largest spread angle, and the limit of the sensor, in the medium in front of the sensor.
     share
         Sine of the spread divided by the sine of the limit.
     """
@@ -401,14 +402,16 @@ def _variables(specification: Specification, lens: Lens) -> dict[str, float | st
     return values
 
 
-def _goal(specification: Specification, goals: list[Operand]) -> tuple[float, str]:
-    """Return the goal in its usual unit."""
+def _goal(specification: Specification, lens: Lens, goals: list[Operand]) -> tuple[float, str]:
+    """Return the goal of a lens in its usual unit."""
     largest = max(float(np.max(row.values)) for row in goals)
     goal, waves = specification.optimize.goal, specification.wavelengths_um
     if goal == "smallest spread" and len(waves) > 1:
         return 100.0 * math.sqrt(largest), "%"
     if goal.startswith("smallest spread"):
-        sine = math.sqrt(largest) * min(1.0, max(waves) / (2.0 * specification.sensor.pixel_pitch_um))
+        # The references of `goal_operands`.
+        reference = lens if goal == "smallest spread" else specification
+        sine = math.sqrt(largest) * sensor_spread_sine(reference, max(waves))
         return math.degrees(math.asin(min(1.0, sine))), "deg"
     if goal == "smallest aperture":
         return math.sqrt(largest) * specification.stop_semi_diameter_mm, "mm"
@@ -425,9 +428,9 @@ def _shown_goal(
     if goal == GHOST_GOAL:
         return ghost_paths(lens).total(), ""
     if built is not None:
-        return _built_goal(specification, goals, built)
+        return _built_goal(specification, lens, goals, built)
     if goal not in AS_BUILT_GOALS or study is None:
-        return _goal(specification, goals)
+        return _goal(specification, lens, goals)
     if goal == LOSS_GOAL:
         return max(float(np.max(row.values)) for row in goals), ""
     predicted = study.predict(lens)
@@ -435,7 +438,7 @@ def _shown_goal(
 
 
 def _built_goal(
-    specification: Specification, goals: list[Operand], built: AsBuiltReport
+    specification: Specification, lens: Lens, goals: list[Operand], built: AsBuiltReport
 ) -> tuple[float, str]:
     """Return the predicted goal of lenses as built, at all temperatures."""
     environment = specification.environment
@@ -446,7 +449,7 @@ def _built_goal(
         return 100.0 * min(row.predicted_good for row in own if row.predicted_good is not None), "%"
     if specification.optimize.goal == LOSS_GOAL:
         return max(loss.predicted for row in own for loss in row.losses), ""
-    return _goal(specification, goals)
+    return _goal(specification, lens, goals)
 
 
 def _spread(row: WavelengthCheck) -> WavelengthSpread:

@@ -137,7 +137,8 @@ def _spread(lens: Lens, specification: Specification, report: CheckReport) -> li
     limits, rows = specification.constraints, []
     for found in report.wavelengths:
         at = f"at {found.wavelength_um:g} µm"
-        sine = specification.spread_limit(found.wavelength_um)
+        index = lens.sensor_medium_index(found.wavelength_um)
+        sine = specification.spread_limit(found.wavelength_um, index)
         if math.isfinite(sine):
             limit = math.degrees(math.asin(sine))
             rows.append(_angle(f"spread angle {at}", found.max_spread_deg, limit))

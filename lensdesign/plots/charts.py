@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.analysis.exit_beam import largest_spread_angle
-from lensdesign.analysis.space_bandwidth import spread_limit_sine
+from lensdesign.analysis.space_bandwidth import sensor_spread_sine
 from lensdesign.common.text import visible
 from lensdesign.lens.lens import Lens
 from lensdesign.plots.style import INK, RED, in_style, styled_figure
@@ -44,7 +44,7 @@ def spread_figure(lens: Lens) -> Figure:
     markers = "os^Dv"
     for index, (wavelength, color) in enumerate(zip(wavelengths, _colors(len(wavelengths)), strict=True)):
         spread = largest_spread_angle(lens, wavelength)
-        sine = spread_limit_sine(wavelength, lens.sensor.pixel_pitch_um)
+        sine = sensor_spread_sine(lens, wavelength)
         axes.plot(
             spread.field_heights_mm,
             spread.per_field_deg,

@@ -16,7 +16,7 @@ import numpy as np
 
 from lensdesign.analysis.arrival_angles import ArrivalAngles, arrival_angles
 from lensdesign.analysis.exit_beam import rms_spot_diameter
-from lensdesign.analysis.space_bandwidth import spread_limit_sine
+from lensdesign.analysis.space_bandwidth import sensor_spread_sine
 from lensdesign.common.arrays import Array
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.errors import InputError
@@ -196,7 +196,7 @@ def incidence_figure(
         sensor_fractions = (0.0, 3.0 / 11.2, 7.0 / 11.2, 9.0 / 11.2)
         sensor_points_mm = [(0.0, float(f"{half_mm * fraction:.3g}")) for fraction in sensor_fractions]
     wavelength_um = lens.wavelengths_um[0]
-    limit_sine = spread_limit_sine(wavelength_um, lens.sensor.pixel_pitch_um)
+    limit_sine = sensor_spread_sine(lens, wavelength_um)
     arrivals = [arrival_angles(lens, p, plane_distance_mm, wavelength_um) for p in sensor_points_mm]
     largest = max((a.largest_deg for a in arrivals if np.any(a.ok)), default=0.0)
     reach = 1.12 * max(math.degrees(math.asin(limit_sine)), largest)

@@ -287,6 +287,6 @@ class _TracedArrangement:
                 reach = np.linalg.norm(ends[..., :2] + steps * slopes + shift, axis=-1)
                 others = np.maximum(others, np.where(ok, reach, 0.0).max(axis=-1) / limit)
         others = np.where(missing > 0.0, _BLOCKED * (1.0 + missing), others)
-        limit = self.specification.spread_limit(wavelength_um)
+        limit = self.specification.spread_limit(wavelength_um, float(system.index[0, -1]))
         # Without a limit, spreads are compared by their sines.
         return sine / (1.0 if math.isinf(limit) else limit), others

@@ -154,7 +154,8 @@ class EstimateLimits:
     def of(cls, specification: Specification) -> EstimateLimits:
         """Return the values of a specification."""
         scene = specification.required_object
-        sines = [specification.spread_limit(w) for w in specification.wavelengths_um]
+        # Behind a stock lens there is air.
+        sines = [specification.spread_limit(w, 1.0) for w in specification.wavelengths_um]
         footprints = specification.footprint_limits()
         if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
             footprints = (0.5 * math.hypot(*specification.sensor.size_mm),) * len(footprints)

@@ -80,7 +80,7 @@ def _thin_lens(scene: Scene) -> _ThinLens:
     path = float(index[1:-1] @ thickness) - index[0] * points.front_principal_z_mm
     path += index[-1] * (points.rear_principal_z_mm - float(np.sum(thickness)))
     semi = _cone_tangent(scene) * (points.front_principal_z_mm - scene.object_grid.z_mm)
-    return _ThinLens(1.0 / points.efl_mm, front, rear, semi, float(path))
+    return _ThinLens(points.power_per_mm, front, rear, semi, float(path))
 
 
 def _cone_tangent(scene: Scene) -> float:

@@ -132,7 +132,7 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
     in_air = lens.without_cover_glass()
     half = margin * footprint(in_air, wavelength_um, plane_distance_mm).radius_mm
     sine = math.sin(math.radians(largest_spread_angle(lens, wavelength_um).spread_deg))
-    pitch = EXIT_FINENESS * 0.5e-3 * wavelength_um / sine
+    pitch = EXIT_FINENESS * 0.5e-3 * wavelength_um / (lens.sensor_medium_index(wavelength_um) * sine)
     if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:
         raise SamplingError(
             f"plane_distance_mm = {plane_distance_mm:g}: the field's light is {2.0 * half:.3g} mm wide and "

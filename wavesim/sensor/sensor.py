@@ -95,7 +95,7 @@ def light_on_pixels(
         Linear fill factor of a pixel (0 to 1): side of the photosensitive square over the pitch.
     oversampling
         Samples per pixel along each axis. The intensity has twice the bandwidth of the field: 2 samples
-        suffice if the angles of the field do not exceed asin(wavelength / (2 pitch)).
+        suffice if the angles of the field do not exceed asin(wavelength / (2 index pitch)).
     stage_error_mm
         Distance of the sensor from the field's plane, positive away from the lens.
     shift_um : (x, y)

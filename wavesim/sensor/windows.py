@@ -189,7 +189,8 @@ def diversity(lens: Lens, patch: Patch, plane_distances_mm: Sequence[float]) -> 
 
     Light of a field stop of width w leaves the lens within angles of w / f. Its finest detail on a plane has
     the width lambda f / w. Over the distance dz, parts of the light shift against each other by dz w / f.
-    The phase diversity is this shift in units of the finest detail.
+    The phase diversity is this shift in units of the finest detail. Wavelength and focal length are those in
+    the medium in front of the sensor.
 
     Parameters
     ----------
@@ -200,7 +201,8 @@ def diversity(lens: Lens, patch: Patch, plane_distances_mm: Sequence[float]) -> 
     """
     focal_mm = first_order(lens, patch.wavelength_um).efl_mm
     separation_mm = max(plane_distances_mm) - min(plane_distances_mm)
-    return separation_mm * (patch.field_stop_mm / focal_mm) ** 2 / (1e-3 * patch.wavelength_um)
+    wavelength_mm = 1e-3 * patch.wavelength_um / lens.sensor_medium_index(patch.wavelength_um)
+    return separation_mm * (patch.field_stop_mm / focal_mm) ** 2 / wavelength_mm
 
 
 def check_diversity(lens: Lens, patch: Patch, plane_distances_mm: Sequence[float]) -> float:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from lensdesign.analysis.oversampling import INTENSITY_DEGREES, UNKNOWNS_OF_KIND, measurements_in_light
-from lensdesign.analysis.space_bandwidth import sbp_object
+from lensdesign.analysis.space_bandwidth import sbp_object, sensor_spread_sine
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
@@ -42,13 +42,13 @@ def goal_operands(specification: Specification, state: State) -> list[Operand]:
         scale = 0.01  # power of ghosts by which the goal is scaled
         return [finite_operand(goal, state.ghosts.fractions / scale, state.ghosts.fractions_by / scale)]
     if goal.startswith("smallest spread"):
-        widest = _sine(lens, max(lens.wavelengths_um))
+        widest = sensor_spread_sine(lens, max(lens.wavelengths_um))
         own = goal == "smallest spread"
         return [
             _per_ray(
                 _named("spread", w, one),
                 squares_of(t.cosines, t.cosines_by),
-                (_sine(lens, w) if own else widest) ** 2,
+                (sensor_spread_sine(one.lens, w) if own else widest) ** 2,
                 t,
             )
             for one in state.all
@@ -182,7 +182,7 @@ def _spread_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace, limited: bool
 ) -> list[Operand]:
     squares = squares_of(trace.cosines, trace.cosines_by)
-    limit = specification.spread_limit(wavelength)
+    limit = specification.spread_limit(wavelength, state.lens.sensor_medium_index(wavelength))
     rows = []
     if limited and math.isfinite(limit):
         rows.append(_limited(_named("spread", wavelength, state), squares, limit**2, trace))
@@ -289,11 +289,6 @@ def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: Gradi
 def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: GradientTrace) -> Operand:
     row = _per_ray(name, squares, limit * (1.0 - LIMIT_MARGIN) ** 2, trace)
     return Operand(name, row.values - 1.0, row.by, row.rays)
-
-
-def _sine(lens: Lens, wavelength: float) -> float:
-    """Return the sine of the sensor's spread limit, by which spreads are scaled."""
-    return min(1.0, wavelength / (2.0 * lens.sensor.pixel_pitch_um))
 
 
 def _named(name: str, wavelength: float, state: State) -> str:

@@ -36,7 +36,8 @@ class Constraints(FrozenModel):
     Attributes
     ----------
     max_spread_deg
-        Largest spread angle; ``"sensor"`` means Eq. 2 of the paper, ``"none"`` no limit.
+        Largest spread angle in the medium in front of the sensor; ``"sensor"`` means Eq. 2 of the paper,
+        ``"none"`` no limit.
     max_spread_xy_deg
         Tighter limits of the spread along x and along y, as arcsines of the direction cosines.
     field_spread

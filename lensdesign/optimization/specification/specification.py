@@ -18,7 +18,7 @@ from lensdesign.analysis.oversampling import (
     UNKNOWNS_OF_KIND,
     largest_oversampling,
 )
-from lensdesign.analysis.space_bandwidth import sbp_object
+from lensdesign.analysis.space_bandwidth import sbp_object, spread_limit_sine
 from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
@@ -251,13 +251,23 @@ class Specification(Lens):
         """The start as a plain lens."""
         return Lens(**{name: getattr(self, name) for name in Lens.model_fields})
 
-    def spread_limit(self, wavelength_um: float) -> float:
-        """Return the largest allowed sine of the spread angle at a wavelength; inf without a limit."""
+    def spread_limit(self, wavelength_um: float, medium_index: float | None = None) -> float:
+        """Return the largest allowed sine of the spread angle at a wavelength; inf without a limit.
+
+        Parameters
+        ----------
+        wavelength_um
+            Vacuum wavelength.
+        medium_index
+            Index of the medium in front of the sensor (default: that of the start lens). Lenses of a search
+            have other ones if the material behind the last surface is a variable.
+        """
         limit = self.constraints.max_spread_deg
         if limit == "none":
             return math.inf
         if limit == "sensor":
-            return min(1.0, wavelength_um / (2.0 * self.sensor.pixel_pitch_um))
+            index = self.sensor_medium_index(wavelength_um) if medium_index is None else medium_index
+            return spread_limit_sine(wavelength_um, self.sensor.pixel_pitch_um, index)
         return math.sin(math.radians(float(limit)))
 
     def footprint_limits(self) -> tuple[float, ...]:
@@ -391,7 +401,7 @@ def validate_possible(specification: Specification) -> None:
     _validate_oversampling(specification)
     scene = specification.required_object
     invariant = scene.field_diameter_mm * scene.numerical_aperture
-    sine = min(specification.spread_limit(w) for w in specification.wavelengths_um)
+    sine = min(_largest_optical_sine(specification, w) for w in specification.wavelengths_um)
     if math.isinf(sine):
         return
     widest = 2.0 * min(specification.footprint_limits())
@@ -400,10 +410,25 @@ def validate_possible(specification: Specification) -> None:
     if invariant > widest * sine:
         raise DesignError(
             "infeasible: by the etendue (Lagrange) bound the exit beam is at least "
-            f"FOV x NA / sin(spread limit) = {scene.field_diameter_mm:g} x {scene.numerical_aperture:g} / "
+            f"FOV x NA / (n sin(spread limit)) = {scene.field_diameter_mm:g} x "
+            f"{scene.numerical_aperture:g} / "
             f"{sine:.5g} = {invariant / sine:.4g} mm wide, but the footprint may be only {widest:.4g} mm; "
             "reduce field or NA, or allow a larger footprint or spread"
         )
+
+
+def _largest_optical_sine(specification: Specification, wavelength_um: float) -> float:
+    """Return the limit of index x sine of the spread, in the medium at the sensor that allows the most."""
+    last = len(specification.surfaces)
+    variable = next(
+        (v for v in specification.variables if (v.parameter, v.surface) == ("material", last)), None
+    )
+    media = [specification.surfaces[-1].material] if variable is None else variable.choices
+    indices = (
+        1.0 if medium is None else refractive_index(medium, wavelength_um, specification.glass_catalogs)
+        for medium in media
+    )
+    return max(index * specification.spread_limit(wavelength_um, index) for index in indices)
 
 
 def _validate_oversampling(specification: Specification) -> None:

@@ -9,7 +9,13 @@ from hypothesis import given
 from random_lenses import numbers
 
 from lensdesign import DesignError, Lens
-from lensdesign.analysis.space_bandwidth import match, sbp_object, sbp_sensor, spread_limit_sine
+from lensdesign.analysis.space_bandwidth import (
+    match,
+    sbp_object,
+    sbp_sensor,
+    sensor_spread_sine,
+    spread_limit_sine,
+)
 
 
 def test_figures_of_the_paper(paper_lens: Lens) -> None:
@@ -35,6 +41,31 @@ def test_pixels_below_half_a_wavelength_resolve_every_angle(paper_lens: Lens) ->
     assert m.spread_limit_deg == 90.0
     assert m.smallest_exit_beam_diameter_mm == pytest.approx(1.5)
     assert spread_limit_sine(0.5, 0.25) == 1.0
+
+
+@pytest.mark.parametrize("index", [1.0, 1.333, 1.7])
+def test_the_medium_in_front_of_the_sensor_shortens_the_wavelength_of_equation_2(
+    paper_lens: Lens, index: float
+) -> None:
+    """The fringes of two plane waves, from the wave vectors in the medium, have two pixels at the limit."""
+    lens = paper_lens.with_surface(1, material=index)
+    angle, pitch_um = math.radians(match(lens, 0.532).spread_limit_deg), lens.sensor.pixel_pitch_um
+    wavenumber = 2.0 * math.pi * index / 0.532
+    assert 2.0 * math.pi / (wavenumber * math.sin(angle)) == pytest.approx(2.0 * pitch_um, rel=1e-12)
+    # A plane face refracts the limit in air to that in the medium; the beam of the etendue stays as wide.
+    in_air = match(paper_lens, 0.532)
+    assert math.sin(math.radians(in_air.spread_limit_deg)) == pytest.approx(
+        index * math.sin(angle), rel=1e-12
+    )
+    narrowest_mm = match(lens, 0.532).smallest_exit_beam_diameter_mm
+    assert narrowest_mm == pytest.approx(in_air.smallest_exit_beam_diameter_mm, rel=1e-12)
+
+
+def test_a_dispersive_medium_has_a_limit_at_each_wavelength(paper_lens: Lens) -> None:
+    lens = paper_lens.with_surface(1, material="N-BK7")
+    for wavelength_um in (0.45, 0.65):
+        sine = wavelength_um / (2.0 * lens.indices(wavelength_um)[-1] * 3.2)
+        assert sensor_spread_sine(lens, wavelength_um) == pytest.approx(sine, rel=1e-12)
 
 
 @given(field=numbers(0.1, 10.0), na=numbers(0.01, 0.95), wavelength=numbers(0.3, 1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -566,3 +567,59 @@ def test_an_import_says_what_the_lens_does_when_traced(command: Command, tmp_pat
     figures = json.loads(command(*asked, "--json")[1])["first_order"]
     assert figures["efl_mm"] == pytest.approx(48.9627, abs=1e-4)
     assert load_design(design).stop_semi_diameter_mm == pytest.approx(figures["stop_height_mm"], rel=1e-12)
+
+
+@pytest.mark.parametrize(("medium", "index"), [("air", 1.0), ("water", 1.333)])
+def test_the_limit_of_the_spread_is_that_of_the_medium_at_the_sensor(
+    command: Command, medium: str, index: float
+) -> None:
+    """The same fringes fall on the pixels in air and in water, so both lenses miss Eq. 2 by as much."""
+    code, out, _ = command("check", str(GOLDEN / "immersed_sensor" / f"{medium}.toml"), "--json")
+    found = json.loads(out)
+    assert code == 1
+    sine = math.sin(math.radians(found["spread_limit_deg"]))
+    assert sine == pytest.approx(0.532 / (2.0 * index * 2.1827), rel=1e-9)
+    load = math.sin(math.radians(found["max_spread_deg"])) / sine
+    assert load == pytest.approx(1.1398, abs=1e-4)
+    narrowest_mm = 0.06 * 0.08 * 2.0 * 2.1827 / 0.532
+    assert found["smallest_exit_beam_diameter_mm"] == pytest.approx(narrowest_mm, rel=1e-9)
+    assert found["etendue_share"] == pytest.approx(0.295, abs=1e-3)
+
+
+def test_check_and_import_state_the_same_focal_length(command: Command, tmp_path: Path) -> None:
+    """Behind a lens whose sensor lies in water: index / power, by the equation of a thick lens."""
+    r1, r2, t, n, water = 20.0, -30.0, 4.0, 1.5, 1.333
+    lens = tmp_path / "lens.toml"
+    lens.write_text(
+        f"""wavelengths_um = [0.532]
+[object]
+field_diameter_mm = 0.5
+numerical_aperture = 0.1
+working_distance_mm = 40.0
+[sensor]
+pixel_pitch_um = 2.0
+pixels = [4000, 4000]
+plane_distances_mm = [20.0]
+[[surface]]
+radius_mm = {r1}
+thickness_mm = {t}
+material = {n}
+semi_diameter_mm = 4.0
+stop = true
+[[surface]]
+radius_mm = {r2}
+material = {water}
+"""
+    )
+    first, second = (n - 1.0) / r1, (water - n) / r2
+    power = first + second - t / n * first * second
+    _, out, _ = command("check", str(lens), "--json")
+    found = json.loads(out)
+    assert found["efl_mm"] == pytest.approx(water / power, rel=1e-9)
+    assert found["bfl_mm"] == pytest.approx(water / power * (1.0 - t / n * first), rel=1e-9)
+    assert command("export", str(lens), str(tmp_path / "lens.zmx"))[0] == 0
+    code, out, err = command("import", str(tmp_path / "lens.zmx"), "-o", str(tmp_path / "b.toml"), "--json")
+    assert (code, err) == (0, "")
+    first_order = json.loads(out)["first_order"]
+    for name in ("efl_mm", "bfl_mm"):
+        assert first_order[name] == pytest.approx(found[name], rel=1e-6)

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from places import DESIGNS, GOLDEN
+from small_searches import singlet_from_plate
 
-from lensdesign import Lens, load_design
+from lensdesign import DesignError, Lens, load_design
 from lensdesign.analysis.outline import drawn_outline
 from lensdesign.manufacture.drawing.sheets import drawing_as_stated
 from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification.sections import Constraints
-from lensdesign.optimization.specification.specification import Specification, load_specification
+from lensdesign.optimization.specification.specification import (
+    Specification,
+    load_specification,
+    validate_possible,
+)
 from lensdesign.optimization.specification_check import check_against
 
 
@@ -118,3 +125,42 @@ def test_the_gap_of_a_pair_is_the_smaller_of_axis_and_edge() -> None:
     (air,) = (c for c in check_against(pair, asked).constraints if c.name.startswith("air gap"))
     assert air.value == pytest.approx(pair.surfaces[1].thickness_mm)
     assert air.limit == 0.3
+
+
+def test_the_sensors_limit_of_a_search_is_that_in_the_medium_in_front_of_it() -> None:
+    """Search, check of the specification and check of the lens agree, also if the medium is a variable."""
+    water = 1.333
+    immersed = singlet_from_plate(
+        surface=[
+            {"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True},
+            {"material": water},
+        ],
+        optimize={"goal": "smallest spread", "start": "plate", "stop": "numerical aperture", "starts": 1},
+    )
+    limit = math.degrees(math.asin(0.532 / (2.0 * water * 2.4)))
+    found = optimize(immersed)
+    (spread,) = found.spreads
+    assert spread.limit_deg == pytest.approx(limit, rel=1e-9)
+    assert found.goal_value == pytest.approx(spread.spread_deg, rel=1e-3)
+    (row,) = (c for c in found.check.constraints if c.name.startswith("spread angle"))
+    assert row.limit == pytest.approx(limit, rel=1e-9)
+    in_air = immersed.with_surface(1, material=None)
+    assert math.sin(math.radians(limit)) == pytest.approx(in_air.spread_limit(0.532) / water, rel=1e-9)
+
+
+@pytest.mark.parametrize("material", [None, 1.333])
+def test_the_etendue_bound_is_the_same_in_every_medium(material: float | None) -> None:
+    specification = singlet_from_plate(
+        field_mm=3.57,
+        surface=[
+            {"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True},
+            {"material": material},
+        ],
+    )
+    # d = FOV x NA x 2 p / wavelength through a sensor of 13.13 mm
+    assert 3.57 * 0.4 * 4.8 / 0.532 < 5472 * 2.4e-3
+    validate_possible(specification)
+    with pytest.raises(DesignError, match="etendue"):
+        validate_possible(
+            specification.replaced(object=specification.object.replaced(field_diameter_mm=3.65))
+        )

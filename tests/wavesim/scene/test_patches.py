@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from places import GOLDEN
 
-from lensdesign import load_design, scaled
+from lensdesign import check_design, load_design, scaled
 from lensdesign.errors import InputError
+from wavesim.engines.choosing import engine_for
+from wavesim.fields import Field, spectrum_support
 from wavesim.scene.patches import exit_grid, patch_scene
 
 PAPER = load_design("designs/paper_singlet.toml")
@@ -26,6 +29,23 @@ def test_a_plane_is_as_wide_both_ways() -> None:
     assert scene.object_grid.shape[0] == scene.object_grid.shape[1]
     assert exit_grid(TWIN, 0.532, 0.25, 2) == scene.exit_grid
     assert exit_grid(TWIN, 0.532, 0.25, 1).shape == scene.exit_grid.shape[:1]
+
+
+def test_waves_in_water_are_as_fine_as_in_air() -> None:
+    """Behind plane faces: Eq. 2 and the grid must judge both alike, as the spectra of the fields are."""
+    found = {}
+    for medium, plane_mm in (("air", 0.3001), ("water", 0.4)):
+        lens = load_design(GOLDEN / "immersed_sensor" / f"{medium}.toml")
+        scene = patch_scene(lens, 0.05, plane_distance_mm=plane_mm)
+        rough = np.exp(2j * np.pi * np.random.default_rng(1).random(scene.object_grid.shape))
+        field = engine_for(scene, "slices").forward(Field(scene.object_grid, rough, 0.532))
+        nyquist_per_mm = 0.5e3 / lens.sensor.pixel_pitch_um
+        spectrum = spectrum_support(field.values, field.grid.pitch_mm, nyquist_per_mm)
+        found[medium] = (scene.exit_grid.pitch_mm, spectrum.frequency_within_per_mm)
+        assert spectrum.fraction_beyond > 0.01
+        assert not check_design(lens, refined=False).feasible
+        assert check_design(lens, refined=False).max_spread_deg < (8.0 if medium == "air" else 6.0)
+    assert found["water"] == pytest.approx(found["air"], rel=0.01)
 
 
 @pytest.mark.parametrize(

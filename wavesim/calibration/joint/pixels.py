@@ -434,13 +434,14 @@ def pixel_spacing(patch: Patch, scene: Scene) -> int:
     scene
         Scene to all pixels.
     """
-    finest_mm = 1e-3 * scene.wavelength_um * first_order(scene.lens, scene.wavelength_um).efl_mm
+    power_per_mm = abs(first_order(scene.lens, scene.wavelength_um).power_per_mm)
+    if not power_per_mm:
+        return 1
+    finest_mm = 1e-3 * scene.wavelength_um / power_per_mm / patch.field_stop_mm
     # Spacing of the pixels over the period of the finest fringes. Each pixel then gives enough numbers for
     # the real and imaginary part of the field.
     fringe_fraction = 0.6
-    return max(
-        1, math.floor(fringe_fraction * abs(finest_mm) / patch.field_stop_mm / scene.exit_grid.pitch_mm)
-    )
+    return max(1, math.floor(fringe_fraction * finest_mm / scene.exit_grid.pitch_mm))
 
 
 def sparse_pixels(
