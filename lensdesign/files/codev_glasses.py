@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from lensdesign.errors import InputError
 from lensdesign.files.draft import parse_number, quoted
 from lensdesign.files.index_tables import tabulated_index
+from lensdesign.lens.catalogues.thermal import LOWEST_INDEX
 
 Formula = Callable[[Sequence[float], float], float]
 
@@ -174,10 +175,10 @@ class PrivateGlass:
             index = math.nan
         # Largest accepted index. No transparent medium exceeds it; a formula does near its pole.
         largest_index = 10.0
-        if not 1.0 <= index <= largest_index:
+        if not LOWEST_INDEX <= index <= largest_index:
             raise InputError(
                 f"{self.location}: the {name} coefficients of private glass {quoted(self.name)} give an "
-                f"index of {index:g} at {wavelength_um:g} µm; allowed is 1 to {largest_index:g}"
+                f"index of {index:g} at {wavelength_um:g} µm; allowed is {LOWEST_INDEX} to {largest_index:g}"
             )
         return index, f"index {index:.7g} at {wavelength_um:g} µm by the {name} formula of {self.name}", ""
 

@@ -187,6 +187,18 @@ class CoordinateBreak:
     tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reverse: bool = False
 
+    @property
+    def is_identity(self) -> bool:
+        """Whether the break moves nothing."""
+        return not any(self.decenter_mm) and not any(self.tilt_deg)
+
+    @property
+    def text(self) -> str:
+        """Values in words: decenters in the unit of the file, tilts in degrees."""
+        decenters, tilts = (", ".join(f"{v:g}" for v in vs) for vs in (self.decenter_mm, self.tilt_deg))
+        order = "tilts first" if self.reverse else "decenters first"
+        return f"decenters {decenters}; tilts {tilts} degrees; {order}"
+
     def inverse(self) -> CoordinateBreak:
         """Return the inverse of the coordinate break."""
         x, y = self.decenter_mm
@@ -626,6 +638,8 @@ def find_glass(
         substitutes a similar glass.
     """
     makers = list(makers)
+    if _is_builtin(name, catalogs):
+        return name.upper()
     names_schott = not makers or any(maker.casefold() == "schott" for maker in makers)
     found = _glass_of_catalogues(name, makers, catalogs, remark, names_schott)
     if found is not None:
@@ -646,6 +660,14 @@ def find_glass(
             f"{named}, and none of them that is available has it (give a glass catalogue, AGF, that has it)"
         )
     return name
+
+
+def _is_builtin(name: str, catalogs: Sequence[Path]) -> bool:
+    """Return whether a name is AIR or VACUUM, and no catalogue of the user has data of it."""
+    own = {path.name for path in catalogs}
+    return name.upper() in ("AIR", "VACUUM") and not any(
+        n.casefold() == name.casefold() and c in own for n, c in list_glasses(catalogs)
+    )
 
 
 def _source_of(name: str, catalogs: Sequence[Path]) -> str:
@@ -748,6 +770,8 @@ def find_glass_of_unknown_maker(
     MaterialError
         If no catalogue has the glass, or only that of a maker who uses such names for other glasses.
     """
+    if _is_builtin(name, catalogs):
+        return name.upper()
     found = _glass_of_catalogues(name, SEARCHED_MAKERS, catalogs, remark, True) or name
     maker = _maker_of(found, catalogs, location)
     if maker in {path.name for path in catalogs}:

@@ -43,6 +43,7 @@ from lensdesign.files.draft import (
     read_lines,
 )
 from lensdesign.files.index_tables import tabulated_index
+from lensdesign.lens.catalogues.thermal import LOWEST_INDEX
 from lensdesign.lens.glass import list_glasses, refractive_index
 from lensdesign.lens.shapes.even_asphere import without_zeros
 
@@ -626,10 +627,10 @@ def _tabulated(reader: FileReader, surface: FileSurface, name: str, values: Sequ
     # Largest accepted index. No transparent medium exceeds it, and an Abbe number does.
     largest_index = 10.0
     for index in indices:
-        if not 1.0 <= index <= largest_index:
+        if not LOWEST_INDEX <= index <= largest_index:
             raise InputError(
-                f"{location}: {label} has an index of {index:g}; allowed is 1 to {largest_index:g}, one for "
-                "each wavelength"
+                f"{location}: {label} has an index of {index:g}; allowed is {LOWEST_INDEX} to "
+                f"{largest_index:g}, one for each wavelength"
             )
     if len(set(indices)) == 1:
         return indices[0]

@@ -22,7 +22,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.coatings.coating import Coating, SurfaceCoating, quarter_wave_mgf2
 from lensdesign.lens.coatings.compiled import CompiledCoating, FilmCoating, IdealCoating, TableCoating
 from lensdesign.lens.coatings.measured import CoatingTable
-from lensdesign.lens.glass import is_air
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
 
 
@@ -129,7 +129,7 @@ def compile_coatings(lens: Lens, wavelength_um: float) -> tuple[CompiledCoating,
     media = [None, *(surface.material for surface in lens.surfaces)]
     compiled = []
     for number, surface in enumerate(lens.surfaces, start=1):
-        in_air = tuple(is_air(medium) for medium in media[number - 1 : number + 1])
+        in_air = tuple(is_gap(medium) for medium in media[number - 1 : number + 1])
         try:
             compiled.append(_compiled(surface.coating, in_air, lens.wavelengths_um[0], wavelength_um))
         except InputError as error:

@@ -1,6 +1,7 @@
 """Refractive indices: constants, glass catalogue files, and the refractiveindex.info database.
 
-All indices are relative to air, as glass makers publish them. Air and a vacuum have the index 1.
+All indices are relative to air of 20 degrees Celsius and 101,325 Pa, as glass makers publish them. Air has
+the index 1, and a vacuum 0.99973 (the inverse of the index of air).
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from lensdesign.errors import MaterialError
 from lensdesign.lens.catalogues.agf import LINE_C_UM, LINE_D_UM, LINE_F_UM, AgfGlass, read_agf
 from lensdesign.lens.catalogues.database import Page, database_pages, database_version, read_page
 from lensdesign.lens.catalogues.thermal import (
+    LOWEST_INDEX,
     REFERENCE_C,
     HeatedDispersion,
     Thermal,
+    air_index,
     at_temperature,
     split_temperature,
 )
@@ -110,7 +113,7 @@ class Material:
         Raises
         ------
         MaterialError
-            If the wavelength is outside the range, or the data give no index of 1 or more there.
+            If the wavelength is outside the range, or the data give no index of `LOWEST_INDEX` or more there.
         """
         shortest, longest = self.wavelength_range_um
         if not shortest <= wavelength_um <= longest:
@@ -121,19 +124,32 @@ class Material:
         if not 0.0 < wavelength_um < math.inf:
             raise MaterialError(f"wavelength_um = {wavelength_um:g}: must be finite and above 0")
         index = float(self.dispersion(float(wavelength_um)))
-        if not 1.0 <= index < math.inf:
+        if not LOWEST_INDEX <= index < math.inf:
             raise MaterialError(
                 f"{self.name} ({self.catalog}): the data gives {index:g} as the index at "
-                f"{wavelength_um:g} µm; a transparent medium has a finite index of at least 1"
+                f"{wavelength_um:g} µm; a transparent medium has a finite index of at least {LOWEST_INDEX} "
+                "relative to air (a vacuum has 0.99973)"
             )
         return index
 
 
 def is_air(material: str | float | None) -> bool:
-    """Return whether a material of a design file is air or a vacuum: None, AIR, VACUUM or the index 1."""
+    """Return whether a material of a design file is air: None, AIR or the index 1."""
     if isinstance(material, str):
-        return material.strip().upper() in ("AIR", "VACUUM")
+        return material.strip().upper() == "AIR"
     return material is None or material == 1.0
+
+
+def is_vacuum(material: str | float | None) -> bool:
+    """Return whether a material of a design file is a vacuum, also one at a temperature or of a catalogue."""
+    if not isinstance(material, str):
+        return False
+    return material.rpartition(":")[2].partition("@")[0].strip().upper() == "VACUUM"
+
+
+def is_gap(material: str | float | None) -> bool:
+    """Return whether a medium is nothing solid: air, a vacuum, or an index of at most 1."""
+    return is_air(material) or is_vacuum(material) or (isinstance(material, float) and material <= 1.0)
 
 
 def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Material:
@@ -141,7 +157,7 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
 
     A name may be any of
 
-    - ``AIR`` or ``VACUUM``, with the index 1, since catalogue indices are relative to air;
+    - ``AIR``, with the index 1, since catalogue indices are relative to air, or ``VACUUM``, with 0.99973;
     - a glass name such as ``N-BK7``, in upper or lower case. It is searched first in the given catalogue
       files, in their order, then in the refractiveindex.info database: Schott, Ohara, Hoya, CDGM, Hikari,
       Sumita, LZOS, then infrared glasses, crystals and filters. The first maker that has the name is used;
@@ -155,7 +171,7 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
     Parameters
     ----------
     material
-        Name of a material, or a constant index of at least 1 for every wavelength.
+        Name of a material, or a constant index of at least `LOWEST_INDEX` for every wavelength.
     catalogs
         Paths of glass catalogue files in Zemax's AGF format.
 
@@ -167,7 +183,7 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
     Raises
     ------
     MaterialError
-        If the name is unknown or matches two materials, the index is below 1 or not finite, a catalogue
+        If the name is unknown or matches two materials, the index is too small or not finite, a catalogue
         file cannot be read, or its entry for this glass contradicts itself or another entry.
 
     Notes
@@ -186,7 +202,9 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
     if not isinstance(material, str):
         return _constant(material)
     if is_air(material):
-        return _constant(1.0, name=material.strip().upper())
+        return _constant(1.0, name="AIR")
+    if material.strip().upper() == "VACUUM":
+        return _vacuum(REFERENCE_C, "VACUUM")
     files = tuple(Path(path) for path in catalogs)
     if "@" in material:
         return _at_temperature(material, files)
@@ -213,6 +231,8 @@ def _find(material: str, files: tuple[Path, ...]) -> Material:
 
 def _at_temperature(material: str, files: tuple[Path, ...]) -> Material:
     name, temperature_c = split_temperature(material)
+    if name.upper() == "VACUUM":
+        return _vacuum(temperature_c, at_temperature("VACUUM", temperature_c))
     found = get_material(name, files)
     if is_air(name):
         return found
@@ -295,6 +315,19 @@ def glass_summary(material: str | float, catalogs: Iterable[Path] = ()) -> dict[
 
 
 @dataclass(frozen=True)
+class _Vacuum:
+    temperature_c: float
+
+    def __call__(self, wavelength_um: float) -> float:
+        return 1.0 / air_index(wavelength_um, self.temperature_c)
+
+
+def _vacuum(temperature_c: float, name: str) -> Material:
+    """Return a vacuum, relative to air of a temperature; the formula of air has poles below 0.16 um."""
+    return Material(name, (0.2, math.inf), "vacuum", "", _Vacuum(temperature_c))
+
+
+@dataclass(frozen=True)
 class _Constant:
     value: float
 
@@ -303,9 +336,10 @@ class _Constant:
 
 
 def _constant(value: float, name: str | None = None) -> Material:
-    if isinstance(value, bool) or not isinstance(value, Real) or not 1.0 <= value < math.inf:
+    if isinstance(value, bool) or not isinstance(value, Real) or not LOWEST_INDEX <= value < math.inf:
         raise MaterialError(
-            f"material {value!r}: must be the name of a material or a finite refractive index of at least 1"
+            f"material {value!r}: must be the name of a material or a finite refractive index of at least "
+            f"{LOWEST_INDEX} (air has 1, a vacuum 0.99973)"
         )
     value = float(value)
     return Material(name or repr(value), (0.0, math.inf), "constant", "", _Constant(value))

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM, PlausibleLength, implausible_values
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
 
 FAR = 50.0
@@ -70,8 +71,8 @@ class LensLengths:
         aperture = max(lens.object.numerical_aperture, 1e-6)  # its square must not underflow to 0
         diameters = _diameters(lens)
         field, distance = lens.object.field_diameter_mm, lens.object.working_distance_mm
-        glass = [s.thickness_mm for s in lens.surfaces if s.thickness_mm and s.material is not None]
-        spaces = [s.thickness_mm for s in lens.surfaces if s.thickness_mm and s.material is None]
+        glass = [s.thickness_mm for s in lens.surfaces if s.thickness_mm and not is_gap(s.material)]
+        spaces = [s.thickness_mm for s in lens.surfaces if s.thickness_mm and is_gap(s.material)]
         common = (*diameters, field, *glass, distance)
         planes = lens.sensor.plane_distances_mm
         return cls(
@@ -362,11 +363,11 @@ def _of_surfaces(lens: Lens) -> Iterator[str]:
     for number, surface in enumerate(lens.surfaces, start=1):
         location = f"surface {number}"
         semi, thickness = surface.semi_diameter_mm, surface.thickness_mm
-        is_glass = surface.material is not None
+        is_glass = not is_gap(surface.material)
         yield from _semi_diameter(lens, number)
         if thickness is not None:
             others = _others(lens, "thicknesses")
-            glass_behind = any(s.material is not None for s in lens.surfaces[number : number + 1])
+            glass_behind = any(not is_gap(s.material) for s in lens.surfaces[number : number + 1])
             plausible = _thickness(others, is_glass, cemented=glass_before or glass_behind)
             yield from implausible_values(f"{location}, thickness_mm", thickness, plausible)
         half = semi if semi is not None else 0.5 * _geometric_median(_diameters(lens))

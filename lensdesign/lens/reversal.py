@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from lensdesign.errors import DesignError
 from lensdesign.lens.coatings.coating import Coating, SurfaceCoating
-from lensdesign.lens.glass import is_air
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.surface import Surface
 
 
@@ -44,7 +44,7 @@ def reversed_surfaces(surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
             **mirrored_keys(surface),
             thickness_mm=thickness_mm,
             material=material,
-            coating=_turned_coating(surface, is_air(material)),
+            coating=_turned_coating(surface, is_gap(material)),
         )
         for surface, (thickness_mm, material) in zip(reversed(surfaces), behind, strict=True)
     )
@@ -56,7 +56,7 @@ def _turned_coating(surface: Surface, has_air_behind: bool) -> SurfaceCoating:
     Layers between two glasses, or between air and air, are reversed, since they are listed from the front.
     """
     coating = surface.coating
-    if isinstance(coating, str) or is_air(surface.material) != has_air_behind:
+    if isinstance(coating, str) or is_gap(surface.material) != has_air_behind:
         return coating
     return coating.replaced(layers=coating.layers[::-1])
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
-from lensdesign.lens.glass import is_air
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.meridian import SurfaceMeridian, ring_volume_mm3
 from lensdesign.lens.shapes.base import azimuths_rad
 from lensdesign.lens.surface import Surface, vertex_z_mm
@@ -283,7 +283,7 @@ def _profile(meridian: SurfaceMeridian, t: Array, end: Array) -> Array:
 
 def glass_fronts(lens: Surfaces) -> tuple[int, ...]:
     """Return the index of the front surface of every glass element, front to back."""
-    return tuple(i for i, s in enumerate(lens.surfaces[:-1]) if not is_air(s.material))
+    return tuple(i for i, s in enumerate(lens.surfaces[:-1]) if not is_gap(s.material))
 
 
 def mechanical_semi_diameter_mm(lens: Surfaces, index: int) -> float:

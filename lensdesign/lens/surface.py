@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
+from lensdesign.lens.catalogues.thermal import LOWEST_INDEX
 from lensdesign.lens.coatings.coating import SurfaceCoating
 from lensdesign.lens.shapes.base import COEFFICIENTS, Shape, azimuths_rad, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
@@ -83,7 +84,7 @@ class Surface(FrozenModel):
     normalization_radius_mm: Positive | None = None
     q_mm: Annotated[tuple[Finite, ...], Field(max_length=len(COEFFICIENTS["q_mm"]))] = ()
     thickness_mm: Positive | None = None
-    material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
+    material: str | Annotated[float, Field(ge=LOWEST_INDEX, allow_inf_nan=False)] | None = None
     semi_diameter_mm: Positive | None = None
     stop: bool = False
     figure: SurfaceFigureSource | None = None

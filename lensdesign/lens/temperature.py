@@ -23,7 +23,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import MaterialError
 from lensdesign.lens.catalogues.thermal import REFERENCE_C, at_temperature
-from lensdesign.lens.glass import Material, get_material, is_air
+from lensdesign.lens.glass import Material, get_material, is_air, is_gap, is_vacuum
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled_edge
 from lensdesign.lens.shapes.base import Shape, directions
@@ -236,6 +236,8 @@ def heated_material(lens: Lens, surface: int, temperature_c: float) -> str | flo
     material = lens.surfaces[surface].material
     if is_air(material):
         return material
+    if is_vacuum(material):
+        return at_temperature("VACUUM", temperature_c)
     glass = _glass(lens, surface)
     assert glass is not None
     if not glass.thermal.knows_index:
@@ -278,7 +280,7 @@ def _media(lens: Lens) -> list[Material | None]:
 
 def _glass(lens: Lens, surface: int) -> Material | None:
     material = lens.surfaces[surface].material
-    if material is None or is_air(material):
+    if material is None or is_gap(material):
         return None
     if isinstance(material, str) and "@" in material:
         raise MaterialError(

@@ -21,6 +21,7 @@ from lensdesign.analysis.oversampling import oversampling_of
 from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import number_with_unit
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
 from lensdesign.lens.temperature import lens_at_temperature, named_at
@@ -225,7 +226,7 @@ def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
     clear = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
     edges = dict(zip(lens.glass_fronts, drawn_edge_thicknesses_mm(lens), strict=True))
     for i, (front, back) in enumerate(zip(lens.surfaces, lens.surfaces[1:], strict=False)):
-        glass = front.material is not None
+        glass = not is_gap(front.material)
         axis = front.thickness_mm or 0.0
         if glass:
             least = limits.min_edge_thickness_mm

@@ -14,7 +14,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
-from lensdesign.lens.glass import get_material, is_air
+from lensdesign.lens.glass import get_material, is_gap
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.reversal import mirrored_keys, reversed_surfaces
 from lensdesign.lens.shapes.base import directions
@@ -216,7 +216,7 @@ class Arrangement:
             if i + 1 < len(self.parts):
                 own[-1] = own[-1].replaced(thickness_mm=spacing_mm)
             surfaces += own
-            glass = sum(not is_air(surface.material) for surface in own)
+            glass = sum(not is_gap(surface.material) for surface in own)
             edges += [Edge(semi_diameter_mm=part.lens.semi_diameter_mm)] * glass
         surfaces[0] = surfaces[0].replaced(semi_diameter_mm=stop_mm, stop=True)
         distance = f", {spacing_mm:.4g} mm apart" if len(self.parts) > 1 else ""
@@ -243,7 +243,7 @@ def _stated_spacing_mm(specification: Specification) -> tuple[float, float] | No
         for variable in specification.variables
         if variable.parameter == "thickness_mm"
         and variable.bounds is not None
-        and is_air(specification.surfaces[(variable.surface or 1) - 1].material)
+        and is_gap(specification.surfaces[(variable.surface or 1) - 1].material)
     ]
     return spaces[0] if len(spaces) == 1 else None
 

@@ -17,7 +17,7 @@ from typing import Any
 from lensdesign.errors import InputError
 from lensdesign.files.draft import LossyImportError, Supplement
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
-from lensdesign.lens.glass import is_air
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
 
@@ -106,7 +106,7 @@ def read_stock_lens(path: Path, catalogs: Sequence[Path] = ()) -> tuple[str, tup
 
 def _glass_range(lens: Lens, path: Path) -> tuple[int, int]:
     """Return the indices of the first and the last surface of the only glass between planes in air."""
-    glass = [i for i, surface in enumerate(lens.surfaces) if not is_air(surface.material)]
+    glass = [i for i, surface in enumerate(lens.surfaces) if not is_gap(surface.material)]
     if not glass:
         raise InputError(f"{path}: contains no glass")
     first, last = glass[0], glass[-1] + 1

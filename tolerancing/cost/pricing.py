@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import length_power
 from tolerancing.cost.table import CostTable
@@ -153,7 +154,7 @@ def _priced_by(parameter: PerturbedParameter, lens: Lens, table: CostTable) -> t
         element = parameter.element
     if parameter.surface is not None:
         i = parameter.surface
-        if quantity == "distance_mm" or (quantity == "thickness_mm" and lens.surfaces[i].material is None):
+        if quantity == "distance_mm" or (quantity == "thickness_mm" and is_gap(lens.surfaces[i].material)):
             return "distance_mm", table.mount
         element = next((n for n, front in enumerate(lens.glass_fronts) if i in (front, front + 1)), None)
     return quantity, table.mount if element is None else table.process_of(element)

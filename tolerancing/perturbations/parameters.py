@@ -14,6 +14,7 @@ from lensdesign.common.frozen_model import FiniteNumber, FrozenModel
 from lensdesign.common.toml_files import joined_faults, pick, unknown_key, validate
 from lensdesign.errors import DesignError, MaterialError
 from lensdesign.lens.coatings.coating import NO_FILMS, has_films
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
 from lensdesign.lens.shapes.registry import parameters
@@ -270,7 +271,7 @@ class PerturbedParameter(FrozenModel):
         if self.parameter == COATING_THICKNESS and not has_films(surface.coating):
             raise ValueError(f"{key}: {self.target}: {NO_FILMS}")
         if index < len(lens.surfaces) - 1:
-            if self.parameter in GLASS_PARAMETERS and surface.material is None:
+            if self.parameter in GLASS_PARAMETERS and is_gap(surface.material):
                 raise ValueError(f"{key}: {self.target} has air behind it, no glass")
         elif self.parameter in ("thickness_mm", *GLASS_PARAMETERS):
             raise ValueError(

@@ -13,6 +13,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.surface_figure import surface_figure_from_zernike
@@ -308,7 +309,7 @@ def _lens_parameters(lens: Lens, fraction: float) -> list[Parameter]:
     figure_terms = (3, 5, 7, 8)
     for surface_number, surface in enumerate(lens.surfaces, start=1):
         prefix = f"surface_{surface_number}_"
-        if surface.material is not None:
+        if not is_gap(surface.material):
             found.append(Parameter(f"{prefix}index", "lens", TYPICAL["index"] * fraction))
         if surface.radius_mm and math.isfinite(surface.radius_mm):
             found.append(

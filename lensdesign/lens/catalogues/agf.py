@@ -12,6 +12,7 @@ from pathlib import Path
 
 from lensdesign.common.input_files import CATALOG_BYTES, read_input
 from lensdesign.errors import MaterialError
+from lensdesign.lens.catalogues.thermal import LOWEST_INDEX
 
 Coefficients = Sequence[float]
 
@@ -220,7 +221,8 @@ def parse_agf(text: str, location: str) -> tuple[AgfGlass, ...]:
     A duplicate name is one glass with a note if both entries have the same index (within `SAME_INDEX`), and
     otherwise a glass with a `fault`. A glass whose nd contradicts its coefficients by more than `ND_REFUSED`
     has a `fault` too; from `ND_NOTED` on it has a note. Half a unit of the last given decimal of nd counts as
-    rounding. An nd of 1 or less, or a d line outside the wavelength range, is not compared.
+    rounding. An nd of 1 or of less than `LOWEST_INDEX`, or a d line outside the wavelength range, is not
+    compared.
 
     Parameters
     ----------
@@ -395,7 +397,7 @@ def _compared(draft: _Draft, glass: AgfGlass) -> AgfGlass:
         )
         return replace(glass, notes=(*glass.notes, note))
     shortest, longest = glass.wavelength_range_um
-    if nd is None or nd <= 1.0 or not shortest <= LINE_D_UM <= longest:
+    if nd is None or nd < LOWEST_INDEX or nd == 1.0 or not shortest <= LINE_D_UM <= longest:
         return glass
     found = glass(LINE_D_UM)
     difference = abs(found - nd) - _rounding(draft.nd)

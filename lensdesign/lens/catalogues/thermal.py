@@ -23,6 +23,9 @@ REFERENCE_C = 20.0
 COLDEST_C, HOTTEST_C = -100.0, 140.0
 """Range of temperatures for which Schott's formula is valid (TIE-19)."""
 
+LOWEST_INDEX = 0.9992
+"""Least index of a medium relative to air: a vacuum has 0.99973 in visible light, and 0.9995 at -100 C."""
+
 _TEMPERATURE = re.compile(r"(.+)@ *([+-]?[0-9]+(?:\.[0-9]+)?(?:e[+-]?[0-9]+)?) *C", re.IGNORECASE)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from lensdesign.analysis.outline import highest_ground_mm
 from lensdesign.common.arrays import Array
+from lensdesign.lens.glass import is_gap
 from lensdesign.lens.shapes.base import Shape, directions
 from lensdesign.lens.solid import SHARP
 from lensdesign.optimization.operands.operand import Operand, State, finite_operand
@@ -41,7 +42,7 @@ def glass_operands(specification: Specification, state: State) -> list[Operand]:
         rows.append(_slope_row(state, i, heights[i], limits.max_edge_slope_deg))
         if i + 1 == len(lens.surfaces):
             continue
-        glass = surface.material is not None
+        glass = not is_gap(surface.material)
         least = limits.min_edge_thickness_mm if glass else limits.min_air_gap_mm
         scale = specification.surfaces[i].thickness_mm or 1.0
         at = _ground_height(state, i, heights[i : i + 2]) if glass else edge

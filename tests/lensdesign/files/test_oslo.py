@@ -329,7 +329,7 @@ FAULTS = [
     ("AP CHK 14.5", "AP WHAT 3", "AP has 2 values"),
     ("GLA N-BK7", "GLA", "line 13: GLA without a glass"),
     ("GLA N-BK7", "GLA MOD M1", "model glass 'MOD M1' without an index"),
-    ("GLA N-BK7", "GLA MOD 1.6 50", "has an index of 50; allowed is 1 to 10"),
+    ("GLA N-BK7", "GLA MOD 1.6 50", "has an index of 50; allowed is 0.9992 to 10"),
     ("GLA N-BK7", "GLA 1.5 1.6", "has 2 indices, and there are 3 wavelengths"),
     ("GLA N-BK7", "GLA N-BK77", r"line 13 \(surface 1\): unknown material 'N-BK77'"),
     ("GLA N-BK7", "GLA H_LAF2", "the maker of the prefix H_ is not known"),

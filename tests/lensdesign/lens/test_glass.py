@@ -15,7 +15,14 @@ from hypothesis import strategies as st
 from places import ROOT
 
 from lensdesign.errors import InputError, MaterialError
-from lensdesign.lens.glass import Material, get_material, glass_summary, list_glasses, refractive_index
+from lensdesign.lens.glass import (
+    Material,
+    get_material,
+    glass_summary,
+    is_gap,
+    list_glasses,
+    refractive_index,
+)
 
 CATALOGUE = """NM MYGLASS 2 517642 1.5168 64.17
 GC melt 7
@@ -129,9 +136,23 @@ def test_constant_index(index: float, wavelength_um: float) -> None:
     assert material.catalog == "constant"
 
 
-@pytest.mark.parametrize("name", ["AIR", "air", " Vacuum "])
+@pytest.mark.parametrize("name", ["AIR", "air", " Air "])
 def test_air_is_one(name: str) -> None:
     assert refractive_index(name, 10.6) == 1.0
+
+
+@pytest.mark.parametrize("name", ["VACUUM", " Vacuum ", "vacuum@20C"])
+def test_a_vacuum_is_below_air(name: str) -> None:
+    """Dry air of 20 C and 101,325 Pa has 1.0002718 at 0.6328 um by Ciddor's equation (NIST)."""
+    assert refractive_index(name, 0.6328) == pytest.approx(1.0 / 1.0002718, abs=6e-7)
+    assert refractive_index(name, 0.5875618) == pytest.approx(0.999728, abs=5e-7)
+
+
+def test_an_index_may_be_that_of_a_vacuum() -> None:
+    assert refractive_index(0.999728, 0.55) == 0.999728
+    gaps = [None, 1.0, 0.9997, "AIR", "VACUUM", "own.agf:VACUUM", "VACUUM@50C"]
+    assert all(is_gap(material) for material in gaps)
+    assert not any(is_gap(material) for material in (1.33, "N-BK7", "own.agf:VAC"))
 
 
 @pytest.mark.parametrize("value", [0.999, 0.0, -1.5, math.nan, math.inf, True, None, [1.5]])

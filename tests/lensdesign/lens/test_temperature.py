@@ -71,6 +71,14 @@ def test_at_20_degrees_it_is_as_designed_and_saved_as_it_is(tmp_path):
     assert load_design(tmp_path / "hot.toml") == hot
 
 
+def test_a_vacuum_follows_the_index_of_hot_air():
+    """The index of air minus 1 is proportional to its density, nearly 1 / T."""
+    lens = lens_of({**FRONT, "stop": True}, {**BACK, "material": "VACUUM"})
+    hot = lens_at_temperature(lens, 60.0).indices(0.633)[2]
+    cold = lens.indices(0.633)[2]
+    assert (1.0 / hot - 1.0) / (1.0 / cold - 1.0) == pytest.approx(293.15 / 333.15, abs=2e-3)
+
+
 def test_focal_length_changes_as_the_closed_form_says():
     """Thin lens: df / f = (a - n' / (n - 1)) dT, with n' relative to air."""
     from lensdesign.analysis.paraxial import first_order
