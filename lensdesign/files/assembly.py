@@ -283,7 +283,7 @@ def _extract_pose(rows: list[SurfaceRow], draft: Draft) -> tuple[list[SurfaceRow
         first_plane = back.thickness_mm + pivot + despace - exit_z
         return [rows[0], *inner, rows[-1]], pose, working_distance, first_plane
     for row in rows:
-        if row.axes is not None and row.axes not in (CoordinateBreak(), CoordinateBreak().inverse()):
+        if row.axes is not None and not row.axes.is_identity:
             draft.dropped.append(f"{row.name}: coordinate break that is not a pose of the whole lens")
     kept = [rows[0]]
     for row in rows[1:]:

@@ -7,7 +7,8 @@ The reader supports
 - lengths in mm, cm, inches or m (UNIT), which become mm;
 - the system apertures ENPD, FNUM, OBNA and FLOA, which determine the semi-diameter of the stop;
 - object heights, and wavelengths (the primary one comes first);
-- one pair of coordinate breaks, which becomes the pose of the whole lens.
+- one pair of coordinate breaks, which becomes the pose of the whole lens. The surface property Tilt/Decenter
+  (SCBD) is read as coordinate breaks before and behind its surface.
 
 It ignores records that do not describe the lens: weights, the merit function, settings of analyses and
 drawings. Coatings are omitted with a remark. Every other record that a design cannot represent is reported
@@ -24,7 +25,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Context, Decimal
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ from lensdesign.files.draft import (
 )
 from lensdesign.files.index_records import IndexRecord
 from lensdesign.files.zemax_configurations import SOLVES, text_of_configuration
-from lensdesign.lens.glass import get_material, glass_summary, list_glasses
+from lensdesign.lens.glass import get_material, glass_summary, is_gap, list_glasses
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.base import Shape
@@ -169,9 +170,38 @@ def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> D
     if reader.surfaces:
         draft.check_object_and_image()
     draft.recorded = _recorded(lines, reader, supplement)
+    draft.rows = _with_surface_breaks(draft.rows, reader)
     if reader.unit_mm != 1.0:
         draft.scale_lengths(reader.unit_mm)
     return draft
+
+
+def _with_surface_breaks(rows: Sequence[SurfaceRow], reader: FileReader) -> list[SurfaceRow]:
+    """Return the rows with coordinate breaks for the surface property Tilt/Decenter (SCBD).
+
+    The axes change immediately before and behind the surface, in front of the distance to the next one. Those
+    behind the image move nothing.
+    """
+    result: list[SurfaceRow] = []
+    for row, surface in zip(rows, reader.surfaces, strict=True):
+        before = surface.breaks_before
+        behind = {
+            0: surface.breaks_behind,
+            1: before,
+            2: None if before is None else before.inverse(),
+        }[surface.behind_status]
+        if before is not None and not before.is_identity:
+            name = f"{row.name}, its property Tilt/Decenter (SCBD 1: {before.text})"
+            result.append(SurfaceRow(name, row.location, axes=before))
+        if behind is None or behind.is_identity or surface is reader.surfaces[-1]:
+            result.append(row)
+            continue
+        name = f"{row.name}, its property Tilt/Decenter (SCBD 2: {behind.text})"
+        result += [
+            replace(row, thickness_mm=0.0),
+            SurfaceRow(name, row.location, thickness_mm=row.thickness_mm, axes=behind),
+        ]
+    return result
 
 
 def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> list[RecordedSurface]:
@@ -412,7 +442,7 @@ def _remark_catalogues(
         catalog = get_material(found, supplement.glass_catalogs).catalog
     except MaterialError:  # reported later, when the index is needed
         return False
-    if catalog in own:
+    if catalog in own or is_gap(found):
         return False
     named = [maker.casefold() for maker in reader.makers]
     is_foreign = catalog.casefold() not in named
@@ -444,8 +474,8 @@ EXACT = Context(prec=25)
 # (TCED), and points of an aperture that USAP names (UDAD). They do not describe the lens at 20 degrees C.
 _IDLE_WORDS = """
 VERS PFIL LANG DBDT GLRS GSTD NSCD COFN RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS LUID FWGN FWGT WWGT WWGN
-MNCA MNEA MNCG MNEG MXCA MXCG RWRE ROTA BLNK TOL TOLE MOFF FCOM COMM HIDE MIRR SLAB POPS MEMA OEMA FIMP CONF
-SCBD TBTP RSCE RWCE VDSZ VPAR VCON AUTH IWDP EERA SSID STUD SCOL BOOK CSUM FENF TCED UDAD
+MNCA MNEA MNCG MNEG MXCA MXCG RWRE BLNK TOL TOLE MOFF FCOM COMM HIDE MIRR SLAB POPS MEMA OEMA FIMP CONF
+TBTP RSCE RWCE VDSZ VPAR VCON AUTH IWDP EERA SSID STUD SCOL BOOK CSUM FENF TCED UDAD
 """
 _IDLE = frozenset(_IDLE_WORDS.split())
 
@@ -492,6 +522,8 @@ class FileSurface:
     """Values of one surface, collected from its records.
 
     `terms` maps a parameter number (PARM) to its value, `extra_terms` that of extra data (XDAT).
+    `breaks_before` and `breaks_behind` are the surface property Tilt/Decenter; `behind_status` is 1 if the
+    latter repeats the former, and 2 if it undoes it.
     `automatic_mm` is a semi-diameter that OpticStudio computed from rays; it is not an aperture.
     `first_records` holds values and location of each record that may occur only once.
     """
@@ -508,6 +540,9 @@ class FileSurface:
     automatic_mm: float | None = None
     aperture_mm: float | None = None
     stop: bool = False
+    breaks_before: CoordinateBreak | None = None
+    breaks_behind: CoordinateBreak | None = None
+    behind_status: int = 0
     terms: dict[int, float] = field(default_factory=dict)
     extra_terms: dict[int, float] = field(default_factory=dict)
     first_records: dict[str, tuple[list[str], str]] = field(default_factory=dict)
@@ -730,6 +765,30 @@ def _shift(reader: FileReader, surface: FileSurface, values: list[str], location
         reader.draft.add_loss(f"{surface.name}: decentered aperture")
 
 
+def _tilt_decenter(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    """Read the surface property Tilt/Decenter: before (1) or behind (2) the surface, order, status, values.
+
+    The order is 0 for decenters before tilts, and 1 for the reverse. The status behind a surface is 0 for the
+    values of the record, 1 for those before the surface, and 2 for their inverse. Others refer to preceding
+    surfaces and are a loss.
+    """
+    place, order, status = (integer_at(values, i, location) for i in range(3))
+    x, y, a, b, c = (value_at(values, i, location) for i in range(3, 8))
+    axes = CoordinateBreak((x, y), (a, b, c), order != 0)
+    if place == 1 and status == 0:
+        surface.breaks_before = axes
+    elif place == 2 and status in (0, 1, 2):
+        surface.breaks_behind, surface.behind_status = axes, status
+    else:
+        reader.draft.add_loss(f"{surface.name}: tilt and decenter, SCBD {quoted(' '.join(values))}")
+
+
+def _rotation(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    """Add a loss for a record of old versions, whose meaning is not published, unless its values are zero."""
+    if any(parse_number(v, location) for v in values):
+        reader.draft.add_loss(f"{surface.name}: ROTA {quoted(' '.join(values))}")
+
+
 def _coating(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
     reader.draft.add_remark(
         f"{surface.name}: coating {quoted(' '.join(values))} omitted; it does not change the paths of rays"
@@ -762,6 +821,8 @@ _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, list[str], str], None]
     "PARM": _parameter,
     "XDAT": _extra_term,
     "COAT": _coating,
+    "SCBD": _tilt_decenter,
+    "ROTA": _rotation,
 }
 
 

@@ -1002,3 +1002,91 @@ def test_an_edited_cover_glass_remains_in_the_lens(paper_lens, tmp_path):
     (tmp_path / "x.zmx").write_bytes(text.replace("DISZ 0.7", "DISZ 0.9").encode("utf-16"))
     with pytest.raises(LossyImportError, match="cover glass of the sensor"):
         read_zmx(tmp_path / "x.zmx")
+
+
+@pytest.mark.parametrize("catalog", [(), (IMPORTS / "vacuum.agf",)])
+def test_a_vacuum_is_no_air(catalog: tuple[Path, ...]) -> None:
+    """Lensmaker's equation with the index of N-BK7 relative to the vacuum around the lens."""
+    n, radius, thickness = 1.5168000 / 0.999728, 50.0, 3.0
+    power = (n - 1.0) * (2.0 / radius - (n - 1.0) * thickness / (n * radius**2))
+    own = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000), glass_catalogs=catalog)
+    found = read_zmx(IMPORTS / "lens_in_vacuum.zmx", own)
+    assert found.first_order.efl_mm == pytest.approx(1.0 / power, rel=3e-5)
+    assert round(found.first_order.efl_mm, 3) in (48.835, 48.836)
+    assert len(found.lens.glass_fronts) == 1
+
+
+def test_a_model_glass_may_be_a_vacuum(tmp_path: Path) -> None:
+    text = (IMPORTS / "lens_in_vacuum.zmx").read_text()
+    model = text.replace("VACUUM 0 0 0.999728 89.2", "___BLANK 1 0 0.999728 0")
+    found = read_zmx(saved(tmp_path, model), SENSOR)
+    assert found.lens.surfaces[0].material == 0.999728
+    assert found.first_order.efl_mm == pytest.approx(48.8354, abs=1e-3)
+    assert len(found.lens.glass_fronts) == 1
+    with pytest.raises(InputError, match=r"0\.9"):
+        read_zmx(saved(tmp_path, model.replace("0.999728", "0.95")), SENSOR)
+
+
+def test_a_lens_in_a_vacuum_comes_back(tmp_path: Path) -> None:
+    lens = read_zmx(IMPORTS / "lens_in_vacuum.zmx", SENSOR).lens
+    write_zmx(lens, tmp_path / "again.zmx")
+    assert read_zmx(tmp_path / "again.zmx").lens == lens
+
+
+TILTED = (IMPORTS / "tilted_back.zmx").read_text()
+PROPERTY = next(line for line in TILTED.splitlines() if "SCBD" in line)
+
+
+def test_the_tilt_of_a_surface_is_a_loss_with_its_values(tmp_path: Path) -> None:
+    with pytest.raises(LossyImportError) as caught:
+        read_zmx(IMPORTS / "tilted_back.zmx", SENSOR)
+    (loss,) = caught.value.dropped
+    assert "surface 2" in loss
+    assert "decenters 0, 0.5; tilts 2, 0, 0" in loss
+    assert read_zmx(IMPORTS / "tilted_back.zmx", SENSOR, lossy=True).dropped == (loss,)
+
+
+@pytest.mark.parametrize(
+    "records",
+    [
+        "  SCBD 2 0 0 0 0.5 2 0 0",
+        "  SCBD 1 1 0 0 0 0 0 0.5\n  SCBD 2 0 2 0 0 0 0 0",
+        "  SCBD 2 0 2 0 0 0 0 0\n  SCBD 1 0 0 0.1 0 0 0 0",
+        "  SCBD 1 0 3 0 0 0 0 0",
+        "  SCBD 2 0 5 0 0 0 0 0",
+        "  ROTA 1.0",
+    ],
+)
+def test_no_record_that_moves_a_surface_is_dropped_in_silence(tmp_path: Path, records: str) -> None:
+    path = saved(tmp_path, TILTED.replace(PROPERTY, records))
+    with pytest.raises(LossyImportError, match="surface 2"):
+        read_zmx(path, SENSOR)
+
+
+@pytest.mark.parametrize("records", ["  SCBD 1 1 0 0 0 0 0 0\n  SCBD 2 0 2 0 0 0 0 0", "  ROTA 0 0"])
+def test_a_tilt_of_zero_is_no_loss(tmp_path: Path, records: str) -> None:
+    found = read_zmx(saved(tmp_path, TILTED.replace(PROPERTY, records)), SENSOR)
+    assert (found.dropped, found.pose) == ((), Pose())
+
+
+@pytest.mark.parametrize("axes", ["0.1 0.2 3.0 1.0 0.0", "-0.1 0.3 0.0 -2.0 0.0", "0.1 0.0 0.0 0.0 0.0"])
+def test_surface_properties_put_the_lens_where_coordinate_breaks_do(tmp_path: Path, axes: str) -> None:
+    """Axes that change at the first surface, and back at a plane behind a return to its vertex."""
+    inverse = " ".join(f"{-float(v):g}" for v in axes.split())
+    text = TILTED.replace(PROPERTY + "\n  DISZ 48", "  DISZ -3")
+    plane = "SURF 3\n  TYPE STANDARD\n  CURV 0.0\n{records}  DISZ 51\nSURF 4\n"
+    by_property = text.replace("  STOP\n", f"  STOP\n  SCBD 1 0 0 {axes}\n").replace(
+        "SURF 3\n", plane.format(records=f"  SCBD 2 1 0 {inverse}\n")
+    )
+    breaks = [
+        "  TYPE COORDBRK\n  CURV 0.0\n"
+        + "".join(f"  PARM {i} {v}\n" for i, v in enumerate([*values.split(), str(order)], start=1))
+        for order, values in enumerate((axes, inverse))
+    ]
+    by_breaks = text.replace("SURF 1\n", f"SURF 1\n{breaks[0]}  DISZ 0\nSURF 2\n", 1)
+    by_breaks = by_breaks.replace("SURF 3\n", "SURF 4\n").replace("SURF 2\n  TYPE", "SURF 3\n  TYPE")
+    by_breaks = by_breaks.replace("SURF 4\n", f"SURF 4\n{breaks[1]}  DISZ 51\nSURF 5\n")
+    found = [read_zmx(saved(tmp_path, text), SENSOR) for text in (by_property, by_breaks)]
+    assert found[0].pose == found[1].pose != Pose()
+    assert found[0].lens == found[1].lens
+    assert found[0].dropped == ()
