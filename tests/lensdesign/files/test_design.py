@@ -161,7 +161,11 @@ def test_a_fault_is_named_with_its_place(design: Path, old: str, new: str, messa
     ("old", "new", "message"),
     [
         ("[0.532]", "[0]", "wavelengths_um 1 = 0: must be greater than 0"),
-        ('"N-BK7"', "0.5", "surface 1, material = 0.5: must be a valid string or greater than or equal to 0.9992"),
+        (
+            '"N-BK7"',
+            "0.5",
+            "surface 1, material = 0.5: must be a valid string or greater than or equal to 0.9992",
+        ),
     ],
 )
 def test_one_value_is_one_fault(design: Path, old: str, new: str, message: str) -> None:
