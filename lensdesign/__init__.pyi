@@ -1,6 +1,7 @@
 from .analysis.check import check_design
 from .analysis.moulding import MouldingCheck, moulding_checks
 from .analysis.report import CheckReport
+from .common.consent import trust_user_code
 from .errors import DesignError, InputError, MaterialError, TransferLensError
 from .files.codev import read_seq, write_seq
 from .files.design import load_design, save_design
@@ -84,6 +85,7 @@ __all__ = [
     "scaled",
     "trace",
     "trace_polarized",
+    "trust_user_code",
     "verify_mesh",
     "write_drawing",
     "write_mesh",

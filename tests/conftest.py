@@ -41,7 +41,7 @@ LONG = (
     "tolerancing/prediction/",
     "lensdesign/manufacture/drawing/test_predicted_yield.py",
     "lensdesign/exploration/",
-    "tolerancing/store/test_trust.py",
+    "tolerancing/store/test_store_trust.py",
     "test_examples.py",
     "test_notebooks.py",
     "studio/",

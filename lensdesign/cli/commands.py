@@ -23,7 +23,7 @@ from lensdesign.cli import workbench as cli_workbench
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app, say
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Design, Json, output_option
+from lensdesign.common.options import Design, Json, Trust, output_option
 from lensdesign.common.text import quantity_text, relation_symbol, visible
 from lensdesign.errors import InputError
 
@@ -113,6 +113,7 @@ def check(
             help="Coating of all surfaces; default: the design's.", rich_help_panel=OptionGroup.LENS
         ),
     ] = None,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Check matching, spread, footprint and edges, or a specification's constraints.

@@ -13,7 +13,7 @@ import typer
 from lensdesign.cli.tables import print_columns
 from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import GRADES, Json
+from lensdesign.common.options import GRADES, Json, Trust
 from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 
@@ -51,6 +51,7 @@ def compare(
             rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = False,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Compare designs side by side: lengths, volume, space-bandwidth product, spread and constraints.

@@ -14,7 +14,7 @@ from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Json, SpecificationFile, output_option
+from lensdesign.common.options import Json, SpecificationFile, Trust, output_option
 from lensdesign.common.progress import progress_text
 from lensdesign.common.text import number_with_unit, relation_symbol, visible
 from lensdesign.errors import InputError
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 def optimize(
     specification: SpecificationFile,
     output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
+    trust: Trust = False,
     as_json: Json = False,
     seed: Annotated[
         int,
@@ -170,6 +171,7 @@ def explore(
             rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Compute a Pareto front of lenses: a table, charts, and a design file for each lens.
@@ -242,6 +244,7 @@ def limits(
         Path | None,
         output_option("Folder for the design of the lens at each limit.", "DIR", is_folder=True),
     ] = None,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Find the largest field, aperture, pixel and tolerances for which a lens meets the specification.

@@ -11,7 +11,7 @@ import typer
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import GRADES, Json, output_option
+from lensdesign.common.options import GRADES, Json, Trust, output_option
 from lensdesign.common.outputs import output_file
 from lensdesign.common.progress import progress_count
 from lensdesign.common.text import known_text, visible
@@ -96,6 +96,7 @@ def stock(
             rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Find stock lenses in a folder of vendors' files, one or two in a row, that meet a specification.

@@ -11,7 +11,7 @@ import typer
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json, say
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Json, SpecificationFile, output_option
+from lensdesign.common.options import Json, SpecificationFile, Trust, output_option
 from lensdesign.common.progress import progress_text
 from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
@@ -29,6 +29,7 @@ def fit(
         ),
     ],
     output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Optimize a lens whose spheres have the radii of test plates.

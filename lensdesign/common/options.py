@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lensdesign.common.consent import trust_user_code
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.outputs import output_file, output_folder
 
@@ -27,6 +28,24 @@ Json = Annotated[
     bool,
     typer.Option("--json", help="Print one JSON object instead of text.", rich_help_panel=OptionGroup.OUTPUT),
 ]
+
+
+def _trust(context: typer.Context, trust: bool) -> bool:
+    """Allow Python code of studies to be executed until the command ends."""
+    context.with_resource(trust_user_code(trust))
+    return trust
+
+
+Trust = Annotated[
+    bool,
+    typer.Option(
+        "--trust",
+        callback=_trust,
+        help="Execute the Python code of the study's merits; only for files from people you trust.",
+        rich_help_panel=OptionGroup.INPUT,
+    ),
+]
+"""Consent to execute Python code. It holds for the whole command, which need not pass the value on."""
 
 
 def output_option(text: str, metavar: str | None = None, is_folder: bool = False) -> Any:

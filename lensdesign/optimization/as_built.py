@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.consent import is_user_code_trusted
 from lensdesign.errors import DesignError
 from lensdesign.optimization.specification.sections import Tolerances
 
@@ -219,6 +220,9 @@ class AsBuilt(Protocol):
     def check(self, lens: Lens) -> None:
         """Raise a DesignError if the tolerances do not apply to a lens."""
 
+    def check_trials(self) -> None:
+        """Raise an InputError if a merit cannot be scored, such as Python code that is not trusted."""
+
     def check_yields(self) -> None:
         """Raise a DesignError if no yield of the study can be predicted."""
 
@@ -270,7 +274,7 @@ def read_as_built(tolerances: Tolerances) -> AsBuilt:
         raise DesignError(f"tolerances: study = {tolerances.study!r}: there is no such file")
     files = [Path(file) for file in (tolerances.study, tolerances.costs) if file is not None]
     changed = tuple(file.stat().st_mtime_ns for file in files if file.is_file())
-    return _read(study, changed, tolerances)
+    return _read(study, changed, tolerances, is_user_code_trusted())
 
 
 def as_built_by(name: str, lens: Lens) -> AsBuilt:
@@ -292,6 +296,18 @@ def as_built_by(name: str, lens: Lens) -> AsBuilt:
     return found
 
 
+def check_trials_by(name: str) -> None:
+    """Check that the merits of a study file can be scored; grades of tolerances always can.
+
+    Raises
+    ------
+    InputError
+        If the Python code of a merit is not trusted, or fails.
+    """
+    if Path(name).is_file():
+        read_as_built(Tolerances(study=name)).check_trials()
+
+
 def _reader() -> Any:
     """Return the function that reads a study."""
     from importlib.metadata import entry_points
@@ -304,7 +320,7 @@ def _reader() -> Any:
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, _changed: tuple[int, ...], tolerances: Tolerances) -> AsBuilt:
+def _read(path: Path, _changed: tuple[int, ...], tolerances: Tolerances, _is_trusted: bool) -> AsBuilt:
     found: AsBuilt = _reader()(path)
     costs = None if tolerances.costs is None else Path(tolerances.costs)
     return found.scaled(tolerances.factor).priced(costs, tolerances.cost)

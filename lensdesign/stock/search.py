@@ -28,7 +28,7 @@ from lensdesign.errors import DesignError, InputError, MaterialError, TransferLe
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
-from lensdesign.optimization.as_built import TrialsOf, as_built_by
+from lensdesign.optimization.as_built import TrialsOf, as_built_by, check_trials_by
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification_check import check_against
 from lensdesign.stock.arrangement import (
@@ -227,6 +227,8 @@ def find_stock_lenses(
     ('singlet', 4.64, True)
     """
     _check_answerable(specification)
+    if settings.tolerances is not None and settings.yield_trials:
+        check_trials_by(settings.tolerances)
     if not index.lenses:
         raise InputError(
             f"{index.folder}: none of the {len(index.files)} files contains a usable lens, such as "

@@ -12,7 +12,7 @@ import typer
 
 from lensdesign.common.console import make_app, messages_only, print_json, run_app
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Json, StudyFile, output_option
+from lensdesign.common.options import Json, StudyFile, Trust, output_option
 from lensdesign.common.outputs import check_output_file, output_file
 from lensdesign.common.text import number_with_unit, visible
 from lensdesign.errors import InputError, TransferLensError
@@ -20,7 +20,7 @@ from tolerancing.cli import predict as cli_predict
 from tolerancing.cli import statistics as cli_statistics
 from tolerancing.cli import tolerances as cli_tolerances
 from tolerancing.cli.tables import print_table
-from tolerancing.cli.tolerances import StorePath, Trust
+from tolerancing.cli.tolerances import StorePath
 
 if TYPE_CHECKING:
     from tolerancing.merits.base import Merit
@@ -89,11 +89,12 @@ def run(
             rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Run a study's trials, sweeps and sensitivities into a store.
 
-    The same command continues an interrupted run.
+    The same command continues an interrupted run. Python code of the study is executed only with --trust.
 
     Example: tolerancing run study.toml --trials 1000 --store trials.db
     """
@@ -114,7 +115,7 @@ def run(
     from tolerancing.store.store import open_store
     from tolerancing.study.files import load_study
 
-    loaded = load_study(study)
+    loaded = load_study(study, trust=trust)
     try:
         with messages_only(), progress_count("trials and steps") as count:
             outcome = run_study(
@@ -191,7 +192,7 @@ def show(
     """Show the yield of a store's trials by merit, or one of its trials.
 
     A trial is scored again from the files of its study in the store. Python code among them is executed only
-    with --trust, or if your own copy of the file lies beside the store.
+    with --trust.
 
     Example: tolerancing show trials.db
     """

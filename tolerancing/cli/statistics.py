@@ -9,9 +9,9 @@ import typer
 
 from lensdesign.common.console import messages_only, print_json
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Json, StudyFile, output_option
+from lensdesign.common.options import Json, StudyFile, Trust, output_option
 from tolerancing.cli.tables import print_table
-from tolerancing.cli.tolerances import StorePath, Trust
+from tolerancing.cli.tolerances import StorePath
 
 if TYPE_CHECKING:
     from tolerancing.statistics.indices import VarianceIndices
@@ -34,8 +34,7 @@ def rare(
     """Estimate the yield of a lens that seldom fails, by trials where a model expects failures.
 
     The model is fitted to the store's trials. The yield is unbiased even if the model is wrong. Nothing is
-    written to the store. Python code in the store is executed only with --trust, or if your own copy of the
-    file lies beside the store.
+    written to the store. Python code in the store is executed only with --trust.
     """
     from lensdesign.common.progress import progress_count
     from tolerancing.statistics.rare_failures import rare_yield
@@ -59,6 +58,7 @@ def indices(
         ),
     ] = 256,
     output: Annotated[Path | None, output_option("Chart (png, svg or pdf).")] = None,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Compute which fraction of each merit's variance each perturbation causes, alone and with others.
@@ -72,7 +72,7 @@ def indices(
     from tolerancing.statistics.indices import most_trials, variance_indices
     from tolerancing.study.files import load_study
 
-    loaded = load_study(study)
+    loaded = load_study(study, trust=trust)
     if output is not None:
         figure_format(output)
     total = most_trials(loaded.study, base)

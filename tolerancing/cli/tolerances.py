@@ -11,7 +11,7 @@ import typer
 
 from lensdesign.common.console import messages_only, print_json, say
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import GRADES, Design, Json, StudyFile, output_option
+from lensdesign.common.options import GRADES, Design, Json, StudyFile, Trust, output_option
 from lensdesign.common.text import number_with_unit
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
@@ -43,14 +43,6 @@ Processes = Annotated[
     ),
 ]
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store made by a run.")]
-Trust = Annotated[
-    bool,
-    typer.Option(
-        "--trust",
-        help="Execute Python code in the store; only for stores from people you trust.",
-        rich_help_panel=OptionGroup.INPUT,
-    ),
-]
 MeritName = Annotated[
     str | None,
     typer.Option(
@@ -131,6 +123,7 @@ def inverse(
             rich_help_panel=OptionGroup.TOLERANCES,
         ),
     ] = None,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Find the largest deviation of each perturbation alone that keeps a merit's limit."""
@@ -141,7 +134,10 @@ def inverse(
     what = "lenses scored"
     with messages_only(), progress_count(what) as count:
         found = inverse(
-            load_study(study), merit, change=change, progress=lambda n: count.advance(n, None, what)
+            load_study(study, trust=trust),
+            merit,
+            change=change,
+            progress=lambda n: count.advance(n, None, what),
         )
     if as_json:
         print_json({"study": str(study), "limits": found.as_dict()})
@@ -185,7 +181,7 @@ def budget(
 
     Each result of the search is verified by random trials of another seed, until yield and requirement agree.
     An interrupted command writes the best tolerances found so far. Lenses are scored again: Python code in
-    the store is executed only with --trust, or if your own copy of the file lies beside the store.
+    the store is executed only with --trust.
 
     Exit status: 0 for success, 1 if yield and requirement do not agree in the end, 2 for invalid input.
     """

@@ -100,8 +100,13 @@ class Merit(FrozenModel):
         """Return the merit with the text of its file, read relative to `folder`. No code is run."""
         return self
 
+    @property
+    def lacks_consent(self) -> bool:
+        """Whether the merit needs user code that may not be executed (:func:`lensdesign.trust_user_code`)."""
+        return False
+
     def without_user_code(self, reason: str) -> Self:
-        """Return the merit without permission to run user code; an attempt raises InputError(`reason`)."""
+        """Return the merit without its user code; an attempt to run it raises InputError(`reason`)."""
         return self
 
     def prepare(self) -> None:

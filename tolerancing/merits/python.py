@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, field_validator
 
+from lensdesign.common.consent import is_user_code_trusted
 from lensdesign.errors import DesignError, InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import LARGEST_SCORE, Merit
@@ -87,7 +89,8 @@ class PythonMerit(Merit):
         return f"function {self.function}", *super().details
 
     _source: str = PrivateAttr(default="")
-    _refusal: str = PrivateAttr(default="")
+    _is_trusted: bool = PrivateAttr(default=False)
+    _failure: str = PrivateAttr(default="")
 
     @field_validator("function")
     @classmethod
@@ -110,11 +113,16 @@ class PythonMerit(Merit):
 
         own = self.model_copy()
         own._source = read_text(folder / self.file_name)
+        own._is_trusted = is_user_code_trusted()
         return own
+
+    @property
+    def lacks_consent(self) -> bool:
+        return not self._is_trusted
 
     def without_user_code(self, reason: str) -> Self:
         own = self.model_copy()
-        own._refusal = reason
+        own._failure = reason
         return own
 
     def prepare(self) -> None:
@@ -135,9 +143,9 @@ class PythonMerit(Merit):
         )
 
     def _runnable(self) -> Any:
-        if self._refusal:
-            raise InputError(self._refusal)
-        return function_of(self._source, self.function)
+        if self._failure:
+            raise InputError(self._failure)
+        return function_of(self._source, self.function, is_trusted=self._is_trusted)
 
     def _trial(self, context: Context, one: PerturbationBatch, system: SystemState) -> Trial:
         columns = [p.column for p in one.parameters]
@@ -167,15 +175,35 @@ def _number(value: Any, function: str) -> float:
 
 
 @lru_cache(maxsize=32)
-def function_of(source: str, function: str) -> Any:
+def function_of(source: str, function: str, *, is_trusted: bool) -> Any:
     """Run the text of a file and return one of its functions.
+
+    Nothing else in the toolkit executes Python code of a user.
+
+    Parameters
+    ----------
+    source
+        Text of the file.
+    function
+        ``file.py:name``.
+    is_trusted
+        Whether the user allowed the code to be executed; see :func:`lensdesign.trust_user_code`.
 
     Raises
     ------
+    InputError
+        If the code is not trusted. The message has the SHA-256 of the file.
     DesignError
         If the text is not valid Python, fails when it runs, or has no such function.
     """
     file, _, name = function.rpartition(":")
+    if not is_trusted:
+        digest = hashlib.sha256(source.encode()).hexdigest()
+        raise InputError(
+            f"{file}: scores need this Python code (SHA-256 {digest}), which would have all your rights, so "
+            "it was not executed. Read it, and if you trust it: --trust after the command (in Python: "
+            "trust=True of load_study or open_store, or `with trust_user_code()`)"
+        )
     namespace: dict[str, Any] = {"__name__": Path(file).stem, "__file__": file}
     try:
         run_user_code(lambda: exec(compile(source, file, "exec"), namespace), file)

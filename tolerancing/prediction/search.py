@@ -139,8 +139,7 @@ class StudyAsBuilt:
 
     @cached_property
     def _scatter(self) -> Scatter:
-        # A search ends with trials, so it is checked before the search that all merits can score.
-        prepare_merits(self.study)
+        self.check_trials()  # a search ends with trials
         return Scatter(self.study, self.factor)
 
     @cached_property
@@ -195,6 +194,16 @@ class StudyAsBuilt:
         if not all(np.all(np.isfinite(own)) for own in numbers) or np.any(found.rms_waves <= 0.0):
             return untraceable(len(self.judged), len(variables))
         return found
+
+    def check_trials(self) -> None:
+        """Check that all merits can be scored.
+
+        Raises
+        ------
+        InputError
+            If the Python code of a merit is not trusted, or fails.
+        """
+        prepare_merits(self.study)
 
     def check_yields(self) -> None:
         """Check that the yield of the study can be predicted.

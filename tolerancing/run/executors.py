@@ -87,8 +87,9 @@ def cluster_workers(loaded: LoadedStudy, levels: Mapping[str, str], address: str
     from tolerancing.run.workers import StudyParcel, work_in_cluster
 
     with open_cluster(address) as cluster:
+        trust = not any(merit.lacks_consent for merit in loaded.study.all_merits)
         sent = cluster.send(
-            StudyParcel(toolkit_version(), loaded.name, dict(loaded.files), loaded.fingerprint, levels)
+            StudyParcel(toolkit_version(), loaded.name, dict(loaded.files), loaded.fingerprint, levels, trust)
         )
 
         def batches(tasks: Iterable[Task]) -> Batches:

@@ -57,6 +57,8 @@ class StudyParcel:
         Name, files and fingerprint of the :class:`tolerancing.study.files.LoadedStudy`.
     levels
         Level of each merit, by the merit's label.
+    trust
+        Whether the sender consents to the execution of its Python merits.
     """
 
     toolkit_version: str
@@ -64,6 +66,7 @@ class StudyParcel:
     files: Mapping[str, bytes]
     fingerprint: str
     levels: Mapping[str, str]
+    trust: bool
 
 
 _unpacked: dict[str, tuple[LoadedStudy, TemporaryDirectory[str]]] = {}
@@ -102,7 +105,7 @@ def _unpack(parcel: StudyParcel, key: str) -> LoadedStudy:
         check_same_version(parcel.toolkit_version)
         threadpool_limits(limits=1, user_api="blas")
         folder = TemporaryDirectory(prefix="tolerancing-")
-        loaded = load_from_files(parcel.name, parcel.files, Path(folder.name))
+        loaded = load_from_files(parcel.name, parcel.files, Path(folder.name), trust=parcel.trust)
         if loaded.fingerprint != parcel.fingerprint:
             folder.cleanup()
             raise InputError(

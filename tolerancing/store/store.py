@@ -54,7 +54,6 @@ from tolerancing.store.schema import (
     step_rows,
     trial_rows,
 )
-from tolerancing.store.trust import restrict_python
 from tolerancing.study.files import LoadedStudy, load_from_files
 from tolerancing.study.results import HighFidelityResults, Picture, Results, StepResults, TrialResults
 from tolerancing.study.study import MOST_TRIALS, Study
@@ -73,9 +72,8 @@ def open_store(path: str | os.PathLike[str], *, trust: bool = False) -> Store:
     path
         Path of the store.
     trust
-        Whether the code of Python merits in the store may be executed when lenses are scored again. If False,
-        such code is executed only if the same file also lies in the folder of the store. Stored results can
-        always be read.
+        Whether the code of Python merits in the store may be executed when lenses are scored again; see
+        :func:`load_study`. Stored results can always be read.
 
     Returns
     -------
@@ -196,14 +194,13 @@ class Store:
         self._folder = TemporaryDirectory(prefix="tolerancing-")
         with damage_as_error(self.path):
             check_kinds({"name": "text", "content": "bytes"}, rows)
-            files = dict(rows)
+            files, name = dict(rows), self.record().name
             try:
-                loaded = load_from_files(self.record().name, files, Path(self._folder.name))
+                loaded = load_from_files(name, files, Path(self._folder.name), trust=self._trust)
             except DesignError as error:
                 raise ValueError(str(error)) from error
         levels = {merit.label: merit.level for merit in self.merits()}
-        loaded = replace(loaded, study=loaded.study.with_levels(levels))
-        return loaded if self._trust else restrict_python(loaded, self.path)
+        return replace(loaded, study=loaded.study.with_levels(levels))
 
     @property
     def study(self) -> Study:

@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
 from lensdesign.common.atomic_files import atomic_path
+from lensdesign.common.consent import trust_user_code
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.given import FilePath, object_of
 from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, validate_inside
@@ -90,13 +91,17 @@ class LoadedStudy:
         return self.files[relative(PurePosixPath(self.name).parent / self.study.design)].decode("utf-8")
 
 
-def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
+def load_study(path: str | os.PathLike[str], *, trust: bool = False) -> LoadedStudy:
     """Read a study file, its design, and the other files to which both refer.
 
     Parameters
     ----------
     path
         Study file (TOML).
+    trust
+        Whether the code of its Python merits may be executed. If False, scoring a lens by such a merit raises
+        an InputError, unless the study is read within :func:`lensdesign.trust_user_code`. Reading executes
+        no code.
 
     Returns
     -------
@@ -117,7 +122,8 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
     (500, ['contrast_0p775um', 'contrast_1p55um', 'strehl', 'largest_spread_deg'])
     """
     path = Path(path)
-    study = study_from_tables(read_toml(path), str(path), path.parent)
+    with trust_user_code(trust):
+        study = study_from_tables(read_toml(path), str(path), path.parent)
     design = path.parent / study.design
     if allowed_folder() is not None:  # a study inside a store must not read other designs
         validate_inside(design, path, "design", DesignError)
@@ -180,7 +186,9 @@ def relative(path: PurePosixPath) -> str:
     return os.path.normpath(path.as_posix())
 
 
-def load_from_files(name: str, files: Mapping[str, bytes], folder: Path) -> LoadedStudy:
+def load_from_files(
+    name: str, files: Mapping[str, bytes], folder: Path, *, trust: bool = False
+) -> LoadedStudy:
     """Load a study from the contents of its files.
 
     Parameters
@@ -191,6 +199,8 @@ def load_from_files(name: str, files: Mapping[str, bytes], folder: Path) -> Load
         Contents of all files, by relative paths.
     folder
         An empty folder for the files. The lens needs it as long as the lens is used.
+    trust
+        Whether the code of Python merits may be executed; see :func:`load_study`.
 
     Raises
     ------
@@ -214,7 +224,7 @@ def load_from_files(name: str, files: Mapping[str, bytes], folder: Path) -> Load
             raise DesignError(f"file {own!r:.80}: cannot be unpacked: {error.strerror or error}") from error
     try:
         with files_from(root):
-            return load_study(root / name)
+            return load_study(root / name, trust=trust)
     except DesignError as error:
         raise DesignError(str(error).replace(f"{root}{os.sep}", "")) from None
 

@@ -345,6 +345,7 @@ def _with_tolerances(specification: Specification, path: Path) -> Specification:
     specification = specification.model_copy(update={"tolerances": tolerances})
     if specification.as_built is not None:
         specification.as_built.check(specification.lens)
+        specification.as_built.check_trials()
         if specification.asks_yields:
             specification.as_built.check_yields()
         limited = specification.constraints.max_as_built_rms_waves is not None

@@ -165,7 +165,7 @@ def test_a_merit_that_raises_for_the_nominal_lens_is_one_message_and_status_2(
 ):
     (tmp_path / "mine.py").write_text("def ratio(trial):\n    raise LookupError('no ratio')\n")
     merit = '[[merit]]\nkind = "python"\nname = "ratio"\nfunction = "mine.py:ratio"\nat_least = 1.0\n'
-    ran = command("run", write_study(ray_study + merit), "--store", tmp_path / "a.store", "--workers", "1")
+    ran = command("run", write_study(ray_study + merit), "--store", tmp_path / "a.store", "--trust")
     assert (ran.returncode, ran.stdout) == (2, "")
     assert ran.stderr == (
         "error: merit 'ratio' cannot score the nominal lens: LookupError: no ratio "

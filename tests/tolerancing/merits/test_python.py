@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from lensdesign import DesignError, InputError
+from lensdesign import DesignError, InputError, trust_user_code
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -55,7 +55,8 @@ def batch():
 def own(tmp_path, name, source=SOURCE):
     (tmp_path / "mine.py").write_text(source)
     table = {"kind": "python", "function": f"mine.py:{name}", "at_least": 0.0}
-    return merit_from_table(table, "here").loaded(tmp_path)
+    with trust_user_code():
+        return merit_from_table(table, "here").loaded(tmp_path)
 
 
 def test_a_trial_offers_lens_rays_and_pupils(tmp_path, context, batch):
@@ -109,8 +110,16 @@ def test_files_without_the_function_are_refused_before_the_first_trial(tmp_path,
 
 
 def test_reading_runs_nothing(tmp_path, context, batch):
-    """Neither a file, nor a merit without leave."""
+    """Neither a file, nor a merit without consent, nor one whose code has failed."""
     merit = own(tmp_path, "tilt", f"open({str(tmp_path / 'run')!r}, 'w')\n" + SOURCE)
+    untrusted = merit_from_table(merit.model_dump(exclude_unset=True) | {"kind": "python"}, "here").loaded(
+        tmp_path
+    )
+    for one in (untrusted, pickle.loads(pickle.dumps(untrusted))):
+        with pytest.raises(InputError, match="--trust"):
+            one.prepare()
+        with pytest.raises(InputError, match="--trust"):
+            one.scores(context, batch)
     with pytest.raises(InputError, match="a stranger's"):
         merit.without_user_code("a stranger's").prepare()
     with pytest.raises(InputError, match="a stranger's"):

@@ -42,7 +42,7 @@ def slow_distance(trial):
 @pytest.fixture
 def loaded(write_study, full_study, tmp_path):
     (tmp_path / "mine.py").write_text(MINE)
-    return load_study(write_study(full_study + PYTHON_MERIT))
+    return load_study(write_study(full_study + PYTHON_MERIT), trust=True)
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def rays(write_study, ray_study):
 def slow_rays(write_study, ray_study, tmp_path):
     """Trials that take a few milliseconds, so that a worker dies in the middle of a run."""
     (tmp_path / "mine.py").write_text(MINE)
-    return load_study(write_study("sensitivity = false\n" + ray_study + PYTHON_MERIT))
+    return load_study(write_study("sensitivity = false\n" + ray_study + PYTHON_MERIT), trust=True)
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_a_cluster_has_its_own_workers(rays, tmp_path):
 @pytest.fixture
 def parcel(loaded):
     levels = {merit.label: merit.used_level for merit in loaded.study.all_merits}
-    return StudyParcel(toolkit_version(), loaded.name, dict(loaded.files), loaded.fingerprint, levels)
+    return StudyParcel(toolkit_version(), loaded.name, dict(loaded.files), loaded.fingerprint, levels, True)
 
 
 def test_a_parcel_is_unpacked_once_and_needs_no_file_of_its_sender(parcel, tmp_path, monkeypatch):

@@ -113,7 +113,7 @@ def test_python_is_run_by_no_worker_before_the_nominal_lens_is_scored(
     write_study, ray_study, tmp_path, monkeypatch
 ):
     (tmp_path / "mine.py").write_text("def nothing(trial):\n    return 0.0\n")
-    loaded = load_study(write_study("sensitivity = false\n" + ray_study + PYTHON_MERIT))
+    loaded = load_study(write_study("sensitivity = false\n" + ray_study + PYTHON_MERIT), trust=True)
     submitted, submit = [], Processes.submit
 
     def noted(self, work, *arguments, **named):

@@ -197,7 +197,7 @@ at_least = 0.0
 @pytest.mark.usefixtures("copied_workers")
 def test_a_merit_that_ends_the_program_ends_its_trial(write_study, ray_study, tmp_path, capfd, workers):
     (tmp_path / "mine.py").write_text(LEAVING)
-    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
+    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT), trust=True)
     assert run_study(study, tmp_path / "a.db", workers=workers, trials=4).trials_run == 4
     with open_store(tmp_path / "a.db") as store:
         messages = store.trials().messages
@@ -217,7 +217,7 @@ def test_a_merit_that_always_ends_the_program_is_reported_at_the_start(
     indent = "" if location == "import" else "    "
     source = f"import os, sys\ndef score(trial):\n    pass\n{indent}{statement}\n"
     (tmp_path / "mine.py").write_text(source)
-    study = load_study(write_study(ray_study + OWN_MERIT))
+    study = load_study(write_study(ray_study + OWN_MERIT), trust=True)
     with pytest.raises(TransferLensError, match="end"):
         run_study(study, tmp_path / "a.db", workers=workers, trials=4)
     assert not (tmp_path / "a.db").exists()
@@ -237,7 +237,7 @@ def score(trial):
 @pytest.mark.usefixtures("copied_workers")
 def test_a_merit_that_a_signal_ends_fails_its_trial_alone(write_study, ray_study, tmp_path):
     (tmp_path / "mine.py").write_text(DYING)
-    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
+    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT), trust=True)
     announced = []
     outcome = run_study(study, tmp_path / "a.db", workers=2, trials=3, on_estimate=announced.append)
     assert (outcome.trials_run, outcome.workers, announced) == (3, 2, [])
@@ -252,7 +252,7 @@ def test_a_merit_that_a_signal_ends_for_the_nominal_lens_is_told_at_the_start(
     write_study, ray_study, tmp_path
 ):
     (tmp_path / "mine.py").write_text("import os\ndef score(trial):\n    os.kill(os.getpid(), 9)\n")
-    study = load_study(write_study(ray_study + OWN_MERIT))
+    study = load_study(write_study(ray_study + OWN_MERIT), trust=True)
     with pytest.raises(InputError, match=r"^mine\.py: SIGKILL"):
         run_study(study, tmp_path / "a.db", workers=2, trials=4)
     assert not (tmp_path / "a.db").exists()
@@ -267,7 +267,7 @@ def test_a_death_that_no_trial_repeats_is_none_of_a_trial(write_study, ray_study
         "    if trial.number is not None and not once.exists():\n"
         "        once.touch()\n        os.kill(os.getpid(), 9)\n    return 1.0\n"
     )
-    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
+    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT), trust=True)
     with pytest.raises(RunError, match="repeat the command"):
         run_study(study, tmp_path / "a.db", workers=2, trials=2)
     with open_store(tmp_path / "a.db") as store:
