@@ -351,6 +351,12 @@ def import_file(
             "--lossy", help="Omit what a design cannot represent.", rich_help_panel=OptionGroup.INPUT
         ),
     ] = False,
+    wavelength_um: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Wavelength; may be repeated. Replaces the file's values.", rich_help_panel=OptionGroup.LENS
+        ),
+    ] = None,
     configuration: Annotated[
         int | None,
         typer.Option(
@@ -404,6 +410,7 @@ def import_file(
         pixels=pixels,
         plane_distances_mm=tuple(plane_distance_mm) if plane_distance_mm else None,
         glass_catalogs=tuple(glass_catalog or ()),
+        wavelengths_um=tuple(wavelength_um) if wavelength_um else None,
         configuration=configuration,
     )
     found = read_lens_file(file, supplement, lossy)

@@ -15,6 +15,7 @@ from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError, MaterialError
 from lensdesign.files.draft import (
     MAX_SURFACES,
+    NO_WAVELENGTH,
     TOLERANCE_MM,
     CoordinateBreak,
     Draft,
@@ -63,7 +64,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
             f"{source}: {len(draft.rows)} surfaces found; there must be an object, a surface and an image"
         )
     if not draft.wavelengths_um:
-        raise InputError(f"{source}: no wavelength found")
+        raise InputError(NO_WAVELENGTH.format(source))
     own_materials = draft.notes.get("materials")
     count = sum(row.axes is None for row in draft.rows) - 2
     written_here = isinstance(own_materials, list) and len(own_materials) == count

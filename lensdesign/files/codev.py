@@ -39,6 +39,7 @@ from lensdesign.files.assembly import assemble
 from lensdesign.files.codev_glasses import PrivateGlass, coded_glass
 from lensdesign.files.draft import (
     MAX_SURFACES,
+    NO_WAVELENGTH,
     NOTE,
     CoordinateBreak,
     Draft,
@@ -143,7 +144,7 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
     wavelengths_um = list(reader.wavelengths_um)
     if 1 <= reader.reference <= len(wavelengths_um):
         wavelengths_um.insert(0, wavelengths_um.pop(reader.reference - 1))
-    draft.wavelengths_um = wavelengths_um
+    draft.wavelengths_um = supplement.wavelengths_or(wavelengths_um, draft)
     draft.set_field_heights(*(reader.heights.get(axis, []) for axis in ("XOB", "YOB")))
     materials = draft.notes.get("materials")
     named = list(materials) if isinstance(materials, list) else []
@@ -255,7 +256,7 @@ def _private_index(reader: FileReader, surface: FileSurface, glass: PrivateGlass
     """Return the index of a private glass at the first wavelength; its dispersion is recorded as a loss."""
     wavelengths_um = reader.draft.wavelengths_um
     if not wavelengths_um:
-        raise InputError(f"{reader.draft.source}: no wavelength found")
+        raise InputError(NO_WAVELENGTH.format(reader.draft.source))
     index, remark, loss = glass.index(wavelengths_um[0])
     if remark:
         reader.draft.add_remark(f"{surface.name}: {remark}")

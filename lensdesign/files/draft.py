@@ -63,6 +63,8 @@ The coefficients of both are equal to all digits in Schott's catalogue in the AG
 
 TOLERANCE_MM = 1e-9
 
+NO_WAVELENGTH = "{}: no wavelength found; state it (--wavelength-um, Supplement(wavelengths_um=...))"
+
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
 
 
@@ -159,6 +161,8 @@ class Supplement:
         See :class:`lensdesign.Sensor`. Files of other programs usually lack the pixels.
     glass_catalogs
         Catalogue files that are searched for glasses first.
+    wavelengths_um
+        Wavelengths of the design; the first one is that of the design's indices.
     configuration
         Number of the configuration to read from a ``.zmx`` file, from 1.
 
@@ -176,7 +180,20 @@ class Supplement:
     pixels: tuple[int, int] | None = None
     plane_distances_mm: tuple[float, ...] | None = None
     glass_catalogs: tuple[Path, ...] = ()
+    wavelengths_um: tuple[float, ...] | None = None
     configuration: int | None = None
+
+    def wavelengths_or(self, found_um: Sequence[float], draft: Draft) -> list[float]:
+        """Return the stated wavelengths, with a remark if they replace others; without any, those found."""
+        if not self.wavelengths_um:
+            return list(found_um)
+        if any(not 0.0 < w < math.inf for w in self.wavelengths_um):
+            listed = ", ".join(f"{w:g}" for w in self.wavelengths_um)
+            raise InputError(f"wavelengths_um = {listed}: must be greater than 0 and finite, in µm")
+        if found_um and list(found_um) != list(self.wavelengths_um):
+            listed = ", ".join(f"{w:g}" for w in found_um)
+            draft.add_remark(f"the stated wavelengths replace those of the file ({listed} µm)")
+        return list(self.wavelengths_um)
 
 
 @dataclass(frozen=True)

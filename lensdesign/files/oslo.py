@@ -101,7 +101,7 @@ def read_len(
     lines = read_lines(path, "CODE V's own lens files end in .len, too: save such a lens there as .seq")
     for count, words in commands(lines, str(path)):
         _read_command(reader, words, f"{path}, line {count}")
-    _check_complete(reader)
+    _check_complete(reader, supplement)
     _set_stop(reader)
     _set_aperture(reader)
     _set_materials(reader, supplement)
@@ -519,7 +519,7 @@ _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
 }
 
 
-def _check_complete(reader: FileReader) -> None:
+def _check_complete(reader: FileReader, supplement: Supplement) -> None:
     """Check that the file ends where it should, and add remarks on values that OSLO supplies."""
     source, draft = reader.draft.source, reader.draft
     if not reader.surfaces:
@@ -535,7 +535,10 @@ def _check_complete(reader: FileReader) -> None:
         )
     if not reader.has_units:
         draft.add_remark("the file states no units (UNI); lengths are read as mm, as OSLO does")
-    if not reader.has_wavelengths:
+    reader.wavelengths_um = supplement.wavelengths_or(
+        reader.wavelengths_um if reader.has_wavelengths or not supplement.wavelengths_um else (), draft
+    )
+    if not (reader.has_wavelengths or supplement.wavelengths_um):
         draft.add_remark(
             "the file states no wavelengths (WV); those of a new lens in OSLO are used: "
             + ", ".join(f"{w:g}" for w in DEFAULT_WAVELENGTHS_UM)

@@ -68,6 +68,9 @@ from lensdesign.lens.shapes.conic import Conic
 from lensdesign.lens.shapes.forbes import MOST_Q_TERMS, ZEMAX_FORBES_TYPE, qbfs_polynomials
 from lensdesign.lens.shapes.registry import shape_classes
 
+DEFAULT_WAVELENGTH_UM = 0.55
+"""Wavelength of a new lens in OpticStudio, which also stands in the unused WAVM records of its files."""
+
 
 def read_zmx(
     path: str | os.PathLike[str], supplement: Supplement | None = None, lossy: bool = False
@@ -153,13 +156,21 @@ def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> D
     draft = reader.draft
     stored = draft.notes.get("title")
     draft.title = stored if isinstance(stored, str) and plain_title(stored) == reader.name else reader.name
+    count = None if reader.wavelength_count is None else max(reader.wavelength_count, 1)  # a file has one
     for i, wavelength_um in reader.listed_wavelengths_um.items():
-        if i <= (reader.wavelength_count or 0):
+        if i <= (count or 0):
             reader.wavelengths_um.setdefault(i, wavelength_um)
-    numbers = sorted(reader.wavelengths_um)[: reader.wavelength_count]
+    numbers = sorted(reader.wavelengths_um)[:count]
     if reader.primary in numbers:
         numbers.sort(key=lambda n: n != reader.primary)
-    draft.wavelengths_um = [reader.wavelengths_um[n] for n in numbers]
+    found_um = [reader.wavelengths_um[n] for n in numbers]
+    if not found_um and not supplement.wavelengths_um:
+        found_um = [DEFAULT_WAVELENGTH_UM]
+        draft.add_remark(
+            f"the file states no wavelength (WAVM); that of a new lens in OpticStudio is used: "
+            f"{DEFAULT_WAVELENGTH_UM:g} µm"
+        )
+    draft.wavelengths_um = supplement.wavelengths_or(found_um, draft)
     if reader.field_kind == 1:
         draft.set_field_heights(*(reader.heights.get(axis, [])[: reader.field_count] for axis in "xy"))
     materials = draft.notes.get("materials")

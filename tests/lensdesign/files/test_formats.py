@@ -21,6 +21,25 @@ POSE = Pose(0.1, -0.2, 0.0, 1.5, -0.7, 4.4)
 # How our remarks begin, and the encoding.
 OTHERS = {".zmx": ("NOTE", "utf-16"), ".seq": ("!", "utf-8")}
 
+OSLO = """LEN NEW "singlet" 50 3
+NAO 0.02
+OBH 1.0
+UNI 1.0
+TH 100.0
+NXT
+AST
+RD 50.0
+TH 3.0
+AP CHK 4.0
+GLA N-BK7
+NXT
+RD -50.0
+TH 60.0
+AIR
+NXT
+END
+"""
+
 
 def bare(lens: Lens) -> Lens:
     """A lens whose aspheres have no zeros at their end."""
@@ -105,3 +124,18 @@ def test_names_of_archives_are_refused_for_writing_with_the_allowed_ones(
 ) -> None:
     with pytest.raises(InputError, match=r"cannot write .*lens\.zar: the name must end in \.zmx or \.seq"):
         write_lens_file(paper_lens, tmp_path / "lens.zar")
+
+
+@pytest.mark.parametrize("suffix", LENS_FORMATS)
+def test_stated_wavelengths_replace_those_of_the_file(suffix: str, tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / f"lens{suffix}"
+    if suffix == ".len":
+        path.write_text(OSLO)
+    else:
+        write_lens_file(paper_lens, path)
+    supplement = Supplement(pixel_pitch_um=3.2, pixels=(100, 100), wavelengths_um=(0.633, 0.45))
+    found = read_lens_file(path, supplement, lossy=True)
+    assert found.lens.wavelengths_um == (0.633, 0.45)
+    assert found.first_order is not None
+    with pytest.raises(InputError, match="wavelengths_um"):
+        read_lens_file(path, Supplement(wavelengths_um=(0.0,)))

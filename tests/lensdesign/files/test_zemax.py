@@ -457,7 +457,7 @@ def test_what_is_no_lens_file_is_refused(tmp_path: Path) -> None:
         (b"\xff\xfeS\x00U", "not valid UTF-16"),
         (b"SURF 0\nSURF 1\nSURF 2\n", r"surface 2, the last one, has no distance \(DISZ\).* cut short"),
         (b"SURF 0\nSURF 1\nSURF 2\nDISZ 3\n", "the last one, has a distance of 3, but the image"),
-        (b"SURF 0\nSURF 1\nSURF 2\nDISZ 0\n", "no wavelength found"),
+        (b"SURF 0\nSURF 1\nSURF 2\nDISZ 0\n", "there are only planes in air"),
         (b"SURF 0\n" + b"SURF 1\n" * 3, "where surface 2 must follow"),
         ("\n".join(f"SURF {i}" for i in range(1100)).encode(), "more than 1000 surfaces"),
         (b"X" * 1_000_000, "0 surfaces found"),
@@ -1090,3 +1090,11 @@ def test_surface_properties_put_the_lens_where_coordinate_breaks_do(tmp_path: Pa
     assert found[0].pose == found[1].pose != Pose()
     assert found[0].lens == found[1].lens
     assert found[0].dropped == ()
+
+
+def test_a_file_without_a_wavelength_has_that_of_a_new_lens(tmp_path: Path) -> None:
+    found = read_zmx(IMPORTS / "no_wavm.zmx", SENSOR)
+    assert found.lens.wavelengths_um == (0.55,)
+    assert any("0.55" in remark for remark in found.remarks)
+    text = (IMPORTS / "no_wavm.zmx").read_text().replace("YFLN 0.5", "YFLN 0.5\nWAVM 1 0.6328 1")
+    assert read_zmx(saved(tmp_path, text), SENSOR).lens.wavelengths_um == (0.6328,)
