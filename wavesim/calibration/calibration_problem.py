@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,10 @@ IGNORED_SETTINGS = {
     "bandwidth_nm",
 }
 """Settings that do not affect a search, or that affect it only through the light or its source."""
+
+
+class ContinuedWarning(UserWarning):
+    """A search has continued from a checkpoint, which holds the bench but not all that led to it."""
 
 
 class CalibrationProblem:
@@ -222,6 +227,11 @@ def search_bench(
         If the derivatives of all pixels need more memory than is available.
     KeyboardInterrupt
         If the search is interrupted; the message says what was saved.
+
+    Warns
+    -----
+    ContinuedWarning
+        If the search continues from a checkpoint.
     """
     settings, light = problem.settings, problem.framed.light
     _check_memory(len(parameters), len(modes_on(light, start.fixed.source)), problem)
@@ -315,6 +325,14 @@ class _SearchRecord:
         if saved is None:
             return SearchState(self._start)
         self.saved = len(saved["misfits"])
+        warnings.warn(
+            f"the search has continued from the checkpoint after {self.saved} mountings: the object and the "
+            "tiles of the engine were computed again on its bench, so that the result can differ in "
+            "the last digits from that of a run without an interrupt; for equal digits, repeat the run "
+            "without an interrupt",
+            ContinuedWarning,
+            stacklevel=4,
+        )
         rows = zip(saved["values"].tolist(), saved["misfits"].tolist(), strict=True)
         trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
         current = self._start.changed(self.names, saved["here"].tolist())

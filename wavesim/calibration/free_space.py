@@ -511,7 +511,7 @@ def descend(
     ahead, momentum, misfits = now, 1.0, list[float]()
     model = stack.forward_model()
     for iteration in range(1, iterations + 1):
-        change, misfit = model.step(ahead)
+        change, misfit, _ = model.step(ahead)
         updated = stack.limited(ahead + change)
         next_momentum = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * momentum * momentum))
         ahead = updated + np.float32((momentum - 1.0) / next_momentum) * (updated - now)

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from wavesim.fields.field import Field
 from wavesim.fields.propagator import propagator_to
 from wavesim.forward.exit_field import ALL_ROWS, PlaneRecord, add_fraction
+from wavesim.forward.forward_model import Step, fitted_scale
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Operator
@@ -51,7 +52,8 @@ class ColourModel:
     responses
         For each plane, the response of its pixels to each wavelength, from 0 to 1.
     scale
-        Measured amplitude per unit of the modelled amplitude; None means 1, to be fitted.
+        Measured amplitude per unit of the modelled amplitude; None means 1. It is used where a step states
+        no scale of its own.
     fill_factor
         Linear fill factor of a pixel.
 
@@ -114,11 +116,17 @@ class ColourModel:
             for plane, of_plane in zip(recorded, self._propagators, strict=True)
         ]
         self.size = math.sqrt(sum(plane.energy for plane in self._planes))
-        self.scale, self.knows_scale, self.fits_scale = scale or 1.0, scale is not None, False
+        self.scale = scale or 1.0
 
     def step(
-        self, transmission: NDArray[Any], inner_iterations: int = 1, length: float = 1.0
-    ) -> tuple[ComplexArray, float]:
+        self,
+        transmission: NDArray[Any],
+        inner_iterations: int = 1,
+        length: float = 1.0,
+        *,
+        scale: float | None = None,
+        fits_scale: bool = False,
+    ) -> Step:
         """Return the change of the transmissions that reduces the misfit, and the misfit before it.
 
         See :meth:`wavesim.forward.forward_model.ForwardModel.step`. The change of each wavelength is the
@@ -129,16 +137,18 @@ class ColourModel:
         ----------
         transmission : ndarray, shape (wavelengths, ny, nx)
             Transmission at each wavelength.
+        inner_iterations, length, scale, fits_scale
+            As there. A scale that is stated stays.
         """
         spectra = self._spectra(transmission)
         totals = [np.zeros_like(spectrum) for spectrum in spectra]
-        if self.fits_scale:
-            self._fit_scale(spectra)
+        if scale is None:
+            scale = self._fitted_scale(spectra) if fits_scale else self.scale
         squared_misfit = 0.0
         for iteration in range(inner_iterations):
             changes = [np.zeros_like(spectrum) for spectrum in spectra]
             misfit = sum(
-                self._replace_amplitudes(index, spectra, changes) for index in range(len(self._planes))
+                self._replace_amplitudes(index, spectra, changes, scale) for index in range(len(self._planes))
             )
             squared_misfit = squared_misfit if iteration else misfit
             for spectrum, change, total, passes in zip(spectra, changes, totals, self.passes, strict=True):
@@ -149,17 +159,23 @@ class ColourModel:
         result = np.empty(self.lit.shape, self.dtype)
         for index in range(len(result)):
             result[index] = self._adjoint_to_object(index, totals.pop(0))
-        return result, self.scale * math.sqrt(squared_misfit) / self.size
+        return Step(result, scale * math.sqrt(squared_misfit) / self.size, scale)
 
-    def amplitudes(self, transmission: NDArray[Any]) -> list[RealArray]:
-        """Return the modelled amplitudes on all planes, in the unit of the measured ones."""
-        spectra = self._spectra(transmission)
-        if self.fits_scale:
-            self._fit_scale(spectra)
+    def amplitudes(self, transmission: NDArray[Any], scale: float | None = None) -> list[RealArray]:
+        """Return the modelled amplitudes on all planes, in the unit of the measured ones.
+
+        Parameters
+        ----------
+        transmission
+            Transmission at each wavelength.
+        scale
+            Measured amplitude per unit of the modelled amplitude; default: that of the model.
+        """
+        spectra, scale = self._spectra(transmission), scale or self.scale
         results = []
         for index, plane in enumerate(self._planes):
             _, intensity = self._intensity(index, spectra)
-            intensity *= self.real.type(self.scale**2)
+            intensity *= self.real.type(scale**2)
             if plane.background.size:
                 intensity += plane.background
             results.append(np.sqrt(intensity, out=intensity))
@@ -220,11 +236,15 @@ class ColourModel:
         return rows_of, total
 
     def _replace_amplitudes(
-        self, index: int, spectra: Sequence[ComplexArray], changes: Sequence[ComplexArray]
+        self,
+        index: int,
+        spectra: Sequence[ComplexArray],
+        changes: Sequence[ComplexArray],
+        scale: float,
     ) -> float:
         """Add the changes that a plane requires; return its squared misfit."""
         rows_of, ratio = self._intensity(index, spectra)
-        squared_misfit = self._planes[index].change_pixels(ratio, self.scale)
+        squared_misfit = self._planes[index].change_pixels(ratio, scale)
         self._add_adjoints(index, rows_of, ratio, changes)
         return squared_misfit
 
@@ -246,11 +266,8 @@ class ColourModel:
         factor = self.real.type(1.0 / (self.peak_powers[index] * self.passes[index]))
         return np.asarray(factor * values * light.values.conj(), self.dtype)
 
-    def _fit_scale(self, spectra: Sequence[ComplexArray]) -> None:
-        if self.knows_scale:
-            return
-        cross = power = 0.0
-        for index, plane in enumerate(self._planes):
-            of_plane = plane.products(self._intensity(index, spectra)[1])
-            cross, power = cross + of_plane[0], power + of_plane[1]
-        self.scale, self.knows_scale = (cross / power if cross > 0.0 < power else 1.0), True
+    def _fitted_scale(self, spectra: Sequence[ComplexArray]) -> float:
+        """Return the scale that fits best."""
+        return fitted_scale(
+            plane.products(self._intensity(index, spectra)[1]) for index, plane in enumerate(self._planes)
+        )

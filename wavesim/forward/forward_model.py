@@ -15,8 +15,8 @@ by the ratio of the measured amplitude to that of the sum.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -44,6 +44,24 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
 
+class Step(NamedTuple):
+    """A step of the descent.
+
+    Attributes
+    ----------
+    change : ndarray
+        Change of the transmission that reduces the misfit.
+    misfit : float
+        Relative misfit before the step.
+    scale : float
+        Scale for the next step: the given one, or the one that was fitted.
+    """
+
+    change: NDArray[Any]
+    misfit: float
+    scale: float
+
+
 class ForwardModel:
     """Engine, propagators to each plane, and the measured data.
 
@@ -52,7 +70,8 @@ class ForwardModel:
     engine, illumination, recorded
         See :func:`wavesim.reconstruct`.
     scale
-        Measured amplitude per unit of the modelled amplitude; None means 1, to be fitted.
+        Measured amplitude per unit of the modelled amplitude; None means 1. It is used where a step states
+        no scale of its own.
     fill_factor
         Linear fill factor of a pixel (side of its photosensitive square over the pitch); 0 means a point.
     scratch
@@ -117,7 +136,7 @@ class ForwardModel:
             )
         ]
         self.size = math.sqrt(sum(plane.energy for plane in self._planes))
-        self.scale, self.knows_scale, self.fits_scale = scale or 1.0, scale is not None, False
+        self.scale = scale or 1.0
 
     def _propagators(self, wavelength_um: float) -> list[PlanePropagator]:
         """Return the propagators from the exit grid to all planes for one wavelength."""
@@ -141,32 +160,50 @@ class ForwardModel:
         return [None if w is None else w.astype(self.real, copy=False) for w in weights_of(self.recorded)]
 
     def step(
-        self, transmission: NDArray[Any], inner_iterations: int = 1, length: float = 1.0
-    ) -> tuple[ComplexArray, float]:
+        self,
+        transmission: NDArray[Any],
+        inner_iterations: int = 1,
+        length: float = 1.0,
+        *,
+        scale: float | None = None,
+        fits_scale: bool = False,
+    ) -> Step:
         """Return the change of the transmission that reduces the misfit, and the misfit before it.
 
         A single iteration gives the negative gradient. With more inner iterations the field behind the lens
         descends the misfit by itself, each time by a step of this length, and the sum of its changes is
         propagated back to the object. Planes cost little, and the propagation through the lens costs much.
+
+        Parameters
+        ----------
+        transmission
+            Transmission before the step.
+        inner_iterations, length
+            Number of iterations behind the lens, and length of each.
+        scale
+            Measured amplitude per unit of the modelled amplitude; default: that of the model.
+        fits_scale
+            Whether the scale of the next step is fitted. Without a scale, that of this step is fitted, too.
         """
         if self.modes:
-            return self._step_with_modes(transmission, inner_iterations, length)
+            return self._step_with_modes(transmission, inner_iterations, length, scale, fits_scale)
         exit_field = ExitField(self._at_exit(transmission, self.illumination), self.pixels)
-        if self.fits_scale and not self.knows_scale:
-            self._fit_scale(plane.products(exit_field.intensity(plane)) for plane in self._planes)
-        scale = self.scale
+        if scale is None and fits_scale:
+            scale = fitted_scale(plane.products(exit_field.intensity(plane)) for plane in self._planes)
+        scale = scale or self.scale
         sums = [
-            exit_field.replace_amplitudes(plane, scale, with_products=self.fits_scale)
-            for plane in self._planes
+            exit_field.replace_amplitudes(plane, scale, with_products=fits_scale) for plane in self._planes
         ]
-        if self.fits_scale:  # for the next steps, so that planes are not propagated for the scale alone
-            self._fit_scale((plane_sums.cross, plane_sums.power) for plane_sums in sums)
+        next_scale = scale
+        if fits_scale:  # for the next steps, so that planes are not propagated for the scale alone
+            next_scale = fitted_scale((plane_sums.cross, plane_sums.power) for plane_sums in sums)
         for _ in range(inner_iterations - 1):
             exit_field.advance(length / len(self.recorded))
             for plane in self._planes:
-                exit_field.replace_amplitudes(plane, self.scale)
+                exit_field.replace_amplitudes(plane, next_scale)
         change = self._adjoint_to_object(exit_field.take_change(), self.illumination)
-        return change, scale * math.sqrt(sum_of_parts(sums).squared_misfit) / self.size
+        misfit = scale * math.sqrt(sum_of_parts(sums).squared_misfit) / self.size
+        return Step(change, misfit, next_scale)
 
     def noise_of_step(self) -> float:
         """Return the standard deviation that noise causes in a step, for the real or imaginary part at scale
@@ -233,26 +270,39 @@ class ForwardModel:
         assert total is not None
         return total
 
-    def amplitudes(self, transmission: NDArray[Any]) -> list[RealArray]:
-        """Return the modelled amplitudes on all planes, in the unit of the measured ones."""
+    def amplitudes(self, transmission: NDArray[Any], scale: float | None = None) -> list[RealArray]:
+        """Return the modelled amplitudes on all planes, in the unit of the measured ones.
+
+        Parameters
+        ----------
+        transmission
+            Transmission of the object.
+        scale
+            Measured amplitude per unit of the modelled amplitude; default: that of the model.
+        """
+        return list(self._scaled_amplitudes(self._plane_intensities(transmission)(), scale or self.scale))
+
+    def fitted_amplitudes(self, transmission: NDArray[Any]) -> tuple[list[RealArray], float]:
+        """Return the modelled amplitudes on all planes with the scale that fits best, and this scale."""
+        intensities = self._plane_intensities(transmission)
+        scale = fitted_scale(map(PlaneRecord.products, self._planes, intensities()))
+        return list(self._scaled_amplitudes(intensities(), scale)), scale
+
+    def _plane_intensities(self, transmission: NDArray[Any]) -> Callable[[], Iterator[RealArray]]:
+        """Return a function that yields the intensity on each plane, one after the other."""
         if self.modes:
-            found = self._intensities(self._spectra(transmission))
-            if self.fits_scale:
-                self._fit_scale(map(PlaneRecord.products, self._planes, found))
-            intensities = iter(found)
-        else:
-            exit_field = ExitField(self._at_exit(transmission, self.illumination), self.pixels)
-            if self.fits_scale:
-                self._fit_scale(plane.products(exit_field.intensity(plane)) for plane in self._planes)
-            intensities = (exit_field.intensity(plane) for plane in self._planes)
-        results = []
+            spectra = self._spectra(transmission)
+            return lambda: iter(self._intensities(spectra))
+        exit_field = ExitField(self._at_exit(transmission, self.illumination), self.pixels)
+        return lambda: (exit_field.intensity(plane) for plane in self._planes)
+
+    def _scaled_amplitudes(self, intensities: Iterable[RealArray], scale: float) -> Iterator[RealArray]:
         for plane, measurement, intensity in zip(self._planes, self.recorded, intensities, strict=True):
-            intensity *= intensity.dtype.type(self.scale**2)
+            intensity *= intensity.dtype.type(scale**2)
             if plane.background.size:
                 intensity += plane.background
             np.sqrt(intensity, out=intensity)
-            results.append(intensity.reshape(measurement.amplitude.shape))
-        return results
+            yield intensity.reshape(measurement.amplitude.shape)
 
     def _at_exit(
         self, transmission: NDArray[Any], light: Field, component: int | None = None
@@ -303,17 +353,24 @@ class ForwardModel:
         return found
 
     def _step_with_modes(
-        self, transmission: NDArray[Any], inner_iterations: int, length: float
-    ) -> tuple[ComplexArray, float]:
+        self,
+        transmission: NDArray[Any],
+        inner_iterations: int,
+        length: float,
+        scale: float | None,
+        fits_scale: bool,
+    ) -> Step:
         spectra, squared_misfit = self._spectra(transmission), 0.0
         totals = [np.zeros_like(spectrum) for spectrum in spectra]
         for iteration in range(inner_iterations):
             ratios = self._intensities(spectra)
-            if self.fits_scale and iteration == 0:
-                self._fit_scale(map(PlaneRecord.products, self._planes, ratios))
+            if iteration == 0:
+                if fits_scale:
+                    scale = fitted_scale(map(PlaneRecord.products, self._planes, ratios))
+                scale = scale or self.scale
+            assert scale is not None
             misfit_of_planes = sum(
-                plane.change_pixels(ratio, self.scale)
-                for plane, ratio in zip(self._planes, ratios, strict=True)
+                plane.change_pixels(ratio, scale) for plane, ratio in zip(self._planes, ratios, strict=True)
             )
             squared_misfit = squared_misfit if iteration else misfit_of_planes
             for mode, spectrum, total in zip(self.modes, spectra, totals, strict=True):
@@ -327,7 +384,8 @@ class ForwardModel:
             result += self.real.type(mode.weight) * self._adjoint_to_object(
                 exit_field, mode.on(self.illumination), mode.component
             )
-        return result, self.scale * math.sqrt(squared_misfit) / self.size
+        assert scale is not None
+        return Step(result, scale * math.sqrt(squared_misfit) / self.size, scale)
 
     def _change_of_mode(
         self, mode: SourceMode, spectrum: ComplexArray, ratios: Sequence[RealArray]
@@ -339,8 +397,12 @@ class ForwardModel:
             self.pixels.add_adjoint(rows, ratio, propagator, change)
         return change
 
-    def _fit_scale(self, products: Iterable[tuple[float, float]]) -> None:
-        cross = power = 0.0
-        for plane_cross, plane_power in products:
-            cross, power = cross + plane_cross, power + plane_power
-        self.scale, self.knows_scale = (cross / power if cross > 0.0 < power else 1.0), True
+
+def fitted_scale(products: Iterable[tuple[float, float]]) -> float:
+    """Return the scale that fits best, from each plane's sums of measured times modelled amplitude, and of
+    modelled intensity.
+    """
+    cross = power = 0.0
+    for plane_cross, plane_power in products:
+        cross, power = cross + plane_cross, power + plane_power
+    return cross / power if cross > 0.0 < power else 1.0

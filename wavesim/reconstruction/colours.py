@@ -360,7 +360,9 @@ def reconstruct_colours(
         heights, repeats = _heights(search, found)
     maps = [
         modelled - plane.amplitude
-        for modelled, plane in zip(descent.model.amplitudes(state.transmission), case.recorded, strict=True)
+        for modelled, plane in zip(
+            descent.model.amplitudes(state.transmission, state.scale), case.recorded, strict=True
+        )
     ]
     fields = tuple(
         light.with_values(values) for light, values in zip(case.lights, transmissions, strict=True)
@@ -378,7 +380,7 @@ def reconstruct_colours(
         over_noise=state.misfit[-1] / noise if noise else math.nan,
         fits=tuple(plane_verdicts(_residuals(case, maps))),
         stopped_because=descent.stop(state) or "iterations",
-        scale=float(descent.model.scale),
+        scale=float(state.scale or 1.0),
         oversampling=_oversampling(lens, case, settings),
         truth=_compared(case, fields, true_objects),
         heights=heights,
@@ -538,7 +540,7 @@ class _Search:
             )
             numbers = wave_numbers(case.wavelengths_um, settings.film_index)
             film = FilmProjection(numbers, first.height_um)
-            before, known = state.misfit, float(descent.model.scale)
+            before, known = state.misfit, state.scale
             name = stage or "one thickness for all wavelengths"
             state, descent = self.run(recorded, film(relative), known, film, name)
             state, descent = self.polished(recorded, state, descent, name, film)
@@ -562,7 +564,7 @@ class _Search:
         )
         if brightest <= 0.0:
             return state, descent
-        scale, start = descent.model.scale * brightest, state.transmission / brightest
+        scale, start = (state.scale or 1.0) * brightest, state.transmission / brightest
         return self.run(self.case.recorded, _complex(start), scale)
 
     def polished(
@@ -581,7 +583,7 @@ class _Search:
         if self.settings.tv_weight != "auto" or not noise or state.misfit[-1] <= FAR * noise:
             return state, descent
         own = None if film is None else FilmProjection(film.numbers, film.height_um)
-        scale, name = float(descent.model.scale), stage or "less total variation"
+        scale, name = state.scale, stage or "less total variation"
         after, other = self.run(recorded, _complex(state.transmission), scale, own, stage=name, at_noise=True)
         if after.misfit[-1] >= state.misfit[-1]:
             return state, descent
@@ -704,10 +706,10 @@ def _heights(search: _Search, found: _Found) -> tuple[Heights, tuple[Transmissio
     """
     case, settings = search.case, search.settings
     assert settings.film_index is not None
-    scale = float(found.descent.model.scale)
+    scale = found.state.scale
     repeats = list[Transmissions]()
     random = np.random.default_rng(settings.seed)
-    modelled = found.descent.model.amplitudes(found.state.transmission)
+    modelled = found.descent.model.amplitudes(found.state.transmission, scale)
     for index in range(settings.repeats):
         noisy = [
             _noisy(plane, amplitude, random) for plane, amplitude in zip(case.recorded, modelled, strict=True)

@@ -271,17 +271,15 @@ class LayersObjective:
         A least-squares fit of amplitudes would give a smaller scale, as long as the layers are wrong.
         """
         model = self.model
-        model.fits_scale, model.knows_scale = True, False
-        _, misfit = model.step(self.stack.forward(self.transmissions(unknowns)).behind)
-        model.fits_scale = False
+        step = model.step(self.stack.forward(self.transmissions(unknowns)).behind, fits_scale=True)
         # The least-squares scale explains the fraction 1 - misfit^2 of the energy.
-        model.scale /= math.sqrt(max(1.0 - misfit**2, 1e-6))
+        model.scale = step.scale / math.sqrt(max(1.0 - step.misfit**2, 1e-6))
 
     def __call__(self, unknowns: RealArray) -> tuple[float, RealArray]:
         """Return the objective and its gradient. The misfit is stored in `misfit`."""
         model, layers = self.model, self.transmissions(unknowns)
         fields = self.stack.forward(layers)
-        change, self.misfit = model.step(fields.behind)
+        change, self.misfit, _ = model.step(fields.behind)
         value = 0.5 * (self.misfit * model.size / model.scale) ** 2 * self._cells / len(model.recorded)
         gradients = self.stack.adjoint(change, layers, fields)
         parts = []

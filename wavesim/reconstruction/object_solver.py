@@ -37,7 +37,7 @@ from lensdesign.errors import InputError, validate_choice, validate_positive, va
 from wavesim.fields.field import Field
 from wavesim.forward.colour_model import ColourModel
 from wavesim.forward.exit_field import ROWS
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel, Step
 from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.stop_rule import AT_NOISE, FAR, STOPPED, Stop, stop_reason
 from wavesim.reconstruction.total_variation import prox_tv
@@ -311,26 +311,35 @@ def reconstruct(
     if start == "amplitude":
         stages.insert(0, ("amplitude", min(AMPLITUDE_START, iterations)))
     # The list gives up the initial state, so that its arrays do not stay in memory to the end.
-    initial = [resume or _initial_state(model, start, stages[0][0], scratch)]
+    stated = None if scale is None else model.scale
+    initial = [resume or _initial_state(model, start, stages[0][0], stated, scratch)]
     del resume
     state = descent.run(initial.pop(), stages)
     now, misfits, stop_reason = state.transmission, state.misfit, descent.stop(state) or "iterations"
+    assert state.scale is not None
+    found_scale, maps = state.scale, list[NDArray[np.floating[Any]]]()
+    fits_scale = descent.fits_scale_after(kind, len(misfits) - 1)
     del state
-    maps = tuple(model.amplitudes(now)) if residuals else ()
+    if residuals and fits_scale:
+        maps, found_scale = model.fitted_amplitudes(now)
+    elif residuals:
+        maps = model.amplitudes(now, found_scale)
     for modelled, plane in zip(maps, recorded, strict=residuals):
         modelled -= plane.amplitude
         modelled *= modelled.dtype.type(unit)
     found = illumination.with_values(now.astype(illumination.values.dtype))
-    return Reconstructed(found, misfits, maps, model.scale * unit / light_unit, stop_reason)
+    return Reconstructed(found, misfits, tuple(maps), found_scale * unit / light_unit, stop_reason)
 
 
-def _initial_state(model: ForwardModel, start: Any, kind: Kind, scratch: Scratch) -> SolverState:
+def _initial_state(
+    model: ForwardModel, start: Any, kind: Kind, scale: float | None, scratch: Scratch
+) -> SolverState:
     """Return the state before the first iteration."""
     is_field = isinstance(start, Field)
     dtype = model.dtype if is_field or kind == "complex" else model.real
     now = scratch.array(model.lit.shape, dtype, "a step")
     np.multiply(start.values if is_field else 1.0, model.lit, out=now, casting="same_kind")
-    return SolverState(now, now, 0.0, (), model.scale if model.knows_scale else None, 0, 0)
+    return SolverState(now, now, 0.0, (), scale, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,14 +361,12 @@ class ProximalDescent:
 
     def run(self, state: SolverState, stages: Sequence[tuple[Kind, int]]) -> SolverState:
         """Return the state after all stages (kind of object, and iteration at which the stage ends)."""
-        if state.scale is not None:
-            self.model.scale, self.model.knows_scale = state.scale, True
         for stage, (kind, until) in enumerate(stages):
             if stage < state.stage:
                 continue
             if stage > state.stage:
                 now, misfit = state.transmission, state.misfit
-                state = SolverState(now, now, 0.0, misfit, self.model.scale, stage, len(misfit))
+                state = SolverState(now, now, 0.0, misfit, state.scale, stage, len(misfit))
                 del now
             while len(state.misfit) < until:
                 if self.stop(state) is not None:
@@ -373,15 +380,18 @@ class ProximalDescent:
                     self.keep(state)
         return state
 
-    def _next_state(self, state: SolverState, kind: Kind) -> SolverState:
+    def fits_scale_after(self, kind: Kind, iterations: int) -> bool:
+        """Return whether the next iteration fits the scale."""
         # Iterations in which an unknown scale is fitted. In later ones scale and transmission would drift.
         scale_iterations = 4
         # A pure phase cannot take over a part of the scale.
-        self.model.fits_scale = self.fits_scale and (kind == "phase" or len(state.misfit) < scale_iterations)
+        return self.fits_scale and (kind == "phase" or iterations < scale_iterations)
+
+    def _next_state(self, state: SolverState, kind: Kind) -> SolverState:
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         is_far = self._is_far(state)
-        point, misfit = self._gradient_step(state.ahead, kind, self.inner_iterations if is_far else 1)
-        weight = state.tv_factor * self._tv_weight(misfit)
+        point, misfit, scale = self._gradient_step(state, kind, self.inner_iterations if is_far else 1)
+        weight = state.tv_factor * self._tv_weight(misfit, scale)
         point = self.prox(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * weight)
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
@@ -402,7 +412,7 @@ class ProximalDescent:
             ahead=ahead,
             momentum=steps + 1.0,
             misfit=(*state.misfit, misfit),
-            scale=self.model.scale,
+            scale=scale,
         )
 
     def _may_be_biased(self, state: SolverState) -> bool:
@@ -422,19 +432,26 @@ class ProximalDescent:
         known = self.misfit_of_noise is not None and state.misfit
         return not known or state.misfit[-1] > FAR * (self.misfit_of_noise or 0.0)
 
-    def _gradient_step(self, ahead: Array, kind: Kind, inner_iterations: int) -> tuple[Array, float]:
+    def _gradient_step(self, state: SolverState, kind: Kind, inner_iterations: int) -> Step:
         """Return the point after a gradient step from the extrapolated point, and the misfit there."""
-        point, misfit = self.model.step(ahead, inner_iterations, STEP)
+        step = self.model.step(
+            state.ahead,
+            inner_iterations,
+            STEP,
+            scale=state.scale,
+            fits_scale=self.fits_scale_after(kind, len(state.misfit)),
+        )
+        point = step.change
         point *= point.real.dtype.type(STEP)
         if kind == "amplitude":
-            return point.real + ahead.real, misfit
-        point += ahead
-        return point, misfit
+            return step._replace(change=point.real + state.ahead.real)
+        point += state.ahead
+        return step
 
-    def _tv_weight(self, misfit: float) -> float:
+    def _tv_weight(self, misfit: float, scale: float) -> float:
         if self.noise_at_scale_1 is None or self.misfit_of_noise is None:
             return self.tv_weight
-        weight = TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale
+        weight = TV_PER_NOISE * self.noise_at_scale_1 / scale
         return weight * max(misfit / self.misfit_of_noise, 1.0)
 
     def stop(self, state: SolverState) -> Stop | None:

@@ -54,7 +54,7 @@ def test_a_step_goes_down_the_misfits_slope(parts: tuple[list[Engine], list[Fiel
         for n, (plane, amplitude) in enumerate(zip(blank, seen, strict=True))
     ]
     model = ColourModel(engines, lights, planes, responses, 1.0)
-    change, _ = model.step(t.astype(complex))
+    change, *_ = model.step(t.astype(complex))
 
     def cost(values: np.ndarray) -> float:
         return 0.5 * (model.step(values.astype(complex))[1] * model.size) ** 2
@@ -116,7 +116,7 @@ def test_one_wavelength_of_three_is_that_of_the_model_of_one(
     stacked = np.stack([t, t, t])
     for single, several in zip(one.amplitudes(t), three.amplitudes(stacked), strict=True):
         assert several == pytest.approx(single, rel=1e-9, abs=1e-9)
-    (change, misfit), (changes, misfits) = one.step(t), three.step(stacked)
+    (change, misfit, _), (changes, misfits, _) = one.step(t), three.step(stacked)
     assert misfits == pytest.approx(misfit, rel=1e-9)
     assert changes[1] == pytest.approx(change, rel=1e-6, abs=1e-9)
 

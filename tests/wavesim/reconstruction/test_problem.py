@@ -72,10 +72,9 @@ def stated(lens: Lens) -> SystemState:
 def over_noise(case: ReconstructionProblem, recorded: list[Measurement], true: np.ndarray) -> float:
     """Misfit that the true object leaves, over that of the stated noise."""
     model = ForwardModel(case.engine, case.light, recorded, None, SETTINGS.fill_factor)
-    model.fits_scale = True
     noise = noise_misfit(recorded)
     assert noise is not None
-    return model.step(true)[1] / noise
+    return model.step(true, fits_scale=True).misfit / noise
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
