@@ -81,7 +81,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
             "give them together with the file"
         )
     if draft.dropped and not lossy:
-        raise LossyImportError(source, draft.dropped)
+        raise LossyImportError(source, tuple(draft.dropped))
     catalogs = supplement.glass_catalogs
     distance = _first_given(
         supplement.working_distance_mm, working_distance if working_distance < math.inf else None
@@ -122,7 +122,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     if loss := compare_recorded_indices(draft, first_order, catalogs):
         draft.add_loss(loss)
         if not lossy:
-            raise LossyImportError(source, draft.dropped)
+            raise LossyImportError(source, tuple(draft.dropped))
     return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks), first_order, stated)
 
 
@@ -186,7 +186,7 @@ def _without_cover_glass(
                 last = replace(recorded[-4], distance_mm=recorded[-4].distance_mm + added_mm)
                 draft.recorded = [*recorded[:-4], last, recorded[-1]]
             return kept, stored
-    draft.dropped.append(
+    draft.add_loss(
         "cover glass of the sensor: the last two surfaces do not agree with the file's comment on it, and "
         "remain surfaces of the lens"
     )
@@ -285,7 +285,7 @@ def _extract_pose(rows: list[SurfaceRow], draft: Draft) -> tuple[list[SurfaceRow
         return [rows[0], *inner, rows[-1]], pose, working_distance, first_plane
     for row in rows:
         if row.axes is not None and not row.axes.is_identity:
-            draft.dropped.append(f"{row.name}: coordinate break that is not a pose of the whole lens")
+            draft.add_loss(f"{row.name}: coordinate break that is not a pose of the whole lens")
     kept = [rows[0]]
     for row in rows[1:]:
         if row.axes is None:
@@ -337,7 +337,7 @@ def _planes(draft: Draft, first_plane: float) -> tuple[float, ...] | None:
         if _agrees(stored[0], first_plane):
             return tuple(stored)
         if len(stored) > 1:
-            draft.dropped.append(
+            draft.add_loss(
                 f"sensor planes {stored}: the image now lies {first_plane:g} mm behind the last surface"
             )
     return (first_plane,) if 0.0 < first_plane < math.inf else None

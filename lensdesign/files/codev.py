@@ -299,16 +299,20 @@ _SOLVES = frozenset(_SOLVE_WORDS.split())
 
 # What commands describe that a design cannot represent.
 _LOST = {
-    "rectangular aperture": "REX REY REC",
-    "elliptical aperture": "ELX ELY ELL",
-    "decentered aperture": "ADX ADY ARO",
-    "diffractive surface": "DIF GRT GRO GRS GRX GRY GRZ HOE HOR HWL HCT HCO HCC HTO",
-    "cylinder, toroid or anamorphic asphere": "CYL XTO YTO AAS RDX CUX KX KY",
-    "surface given by a table or a program": "SPL SPS SCO UDS UD1 UD2 UD3 FRE FRN NUR",
-    "gradient index": "GRI GRN URN UDG",
-    "reflection or total reflection": "RMD REFL TIRO",
-    "telecentric or afocal system": "TEL AFI AFC",
-    "zoom positions": "ZOO",
+    word: text
+    for text, words in {
+        "rectangular aperture": "REX REY REC",
+        "elliptical aperture": "ELX ELY ELL",
+        "decentered aperture": "ADX ADY ARO",
+        "diffractive surface": "DIF GRT GRO GRS GRX GRY GRZ HOE HOR HWL HCT HCO HCC HTO",
+        "cylinder, toroid or anamorphic asphere": "CYL XTO YTO AAS RDX CUX KX KY",
+        "surface given by a table or a program": "SPL SPS SCO UDS UD1 UD2 UD3 FRE FRN NUR",
+        "gradient index": "GRI GRN URN UDG",
+        "reflection or total reflection": "RMD REFL TIRO",
+        "telecentric or afocal system": "TEL AFI AFC",
+        "zoom positions": "ZOO",
+    }.items()
+    for word in words.split()
 }
 
 _MIRRORS = ("REFL", "MIRROR")
@@ -423,15 +427,16 @@ def read_command(reader: FileReader, words: list[str], location: str) -> None:
         reader.draft.add_remark(f"{name}: {word} solve replaced by its present value")
     elif not _is_idle(word, values):
         name = reader.surfaces[-1].name if reader.surfaces else location.rpartition(", ")[2]
-        kind = next((f"{text}, " for text, keys in _LOST.items() if word in keys.split()), "")
+        kind = f"{_LOST[word]}, " if word in _LOST else ""
         reader.draft.add_loss(f"{name}: {kind}{quoted(' '.join(words))}")
 
 
 def _keyword(text: str) -> str:
     """Return a command's keyword; of a longer word CODE V reads three letters."""
     word = text.upper()
-    full = any(word in keys.split() for keys in _LOST.values())
-    return word if full or _known(word) or not (word.isalpha() and _known(word[:3])) else word[:3]
+    if word in _LOST or _known(word) or not word.isalpha() or not _known(word[:3]):
+        return word
+    return word[:3]
 
 
 def _known(word: str) -> bool:

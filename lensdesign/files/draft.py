@@ -289,7 +289,8 @@ class Draft:
     `aperture` is a kind and its value: object_na, image_na, pupil_diameter_mm, image_f_number (focal length
     over entrance pupil diameter), working_f_number, or stop (the stop's semi-diameter counts, not the value).
     `recorded` holds the surfaces a second time, read independently of `rows`. The finished lens is compared
-    with them (:mod:`lensdesign.files.first_order_check`).
+    with them (:mod:`lensdesign.files.first_order_check`). The keys of `dropped` and `remarks` are sentences,
+    each listed once, in their order.
     """
 
     source: str
@@ -300,18 +301,16 @@ class Draft:
     aperture: tuple[str, float] | None = None
     half_field_mm: float | None = None
     notes: dict[str, Any] = field(default_factory=dict)
-    dropped: list[str] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
+    dropped: dict[str, None] = field(default_factory=dict)
+    remarks: dict[str, None] = field(default_factory=dict)
 
     def add_loss(self, loss: str) -> None:
         """Add something that a design cannot represent, unless it is listed already."""
-        if loss not in self.dropped:
-            self.dropped.append(loss)
+        self.dropped[loss] = None
 
     def add_remark(self, remark: str) -> None:
         """Add a remark on the import, unless it is listed already."""
-        if remark not in self.remarks:
-            self.remarks.append(remark)
+        self.remarks[remark] = None
 
     def compare_index(
         self, name: str, material: str, record: IndexRecord, catalogs: Sequence[Path], is_foreign: bool
@@ -399,7 +398,7 @@ def losses_named(draft: Draft) -> Iterator[None]:
             raise
         shown = 5
         more = f" and {len(draft.dropped) - shown} more" if len(draft.dropped) > shown else ""
-        listed = "; ".join(draft.dropped[:shown])
+        listed = "; ".join([*draft.dropped][:shown])
         raise MaterialError(
             f"{error}. A design cannot represent these parts either: {listed}{more}"
         ) from error
@@ -535,7 +534,7 @@ def read_note(text: str, draft: Draft, location: str) -> None:
         draft.notes[key] = json.loads(value)
     except (ValueError, RecursionError) as error:  # cut short or folded by the program that saved it
         reason = str(error) if len(str(error)) < 80 else type(error).__name__
-        draft.dropped.append(
+        draft.add_loss(
             f"remark {NOTE} {quoted(key)} ({location.rpartition(', ')[2]}): not readable: {reason}"
         )
 
@@ -706,7 +705,7 @@ def _glass_of_catalogues(
 
     If `names_schott` is True, a former glass of Schott is read as its successor.
     """
-    listed = list_glasses(catalogs)
+    listed, wanted = list_glasses(catalogs), normalized_name(name)
     own = list(dict.fromkeys(path.name for path in catalogs))
     known: dict[str, str] = {}
     for _, catalog in listed:
@@ -716,14 +715,12 @@ def _glass_of_catalogues(
         is_schott = catalog not in own and catalog.casefold() == "schott"
         if is_schott and names_schott and name.upper() in REPLACED_SCHOTT_GLASSES:
             break
-        alike = [n for n, c in listed if c == catalog and normalized_name(n) == normalized_name(name)]
+        alike = [n for n, c in listed if c == catalog and normalized_name(n) == wanted]
         exact = [n for n in alike if n.casefold() == name.casefold()] or alike
         if len(exact) == 1:
             found = _shortest_name(exact[0], catalog, catalogs)
             if catalog in own:
-                others = {
-                    c for n, c in listed if c not in own and normalized_name(n) == normalized_name(name)
-                }
+                others = {c for n, c in listed if c not in own and normalized_name(n) == wanted}
                 if others:
                     remark(f"glass {name} is that of {catalog}, not of {' or '.join(sorted(others))}")
             else:

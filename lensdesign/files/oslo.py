@@ -176,7 +176,8 @@ def commands(lines: Sequence[str], source: str) -> Iterator[tuple[int, list[str]
     """
     for count, line in enumerate(lines, start=1):
         words: list[str] = []
-        for word in _WORDS.findall(line):
+        for match in _WORDS.finditer(line):  # stops at the first quotation mark that is not closed
+            word = match[0]
             if word == '"':
                 raise InputError(f"{source}, line {count}: a quotation mark is not closed")
             if word.startswith("//"):

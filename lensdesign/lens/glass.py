@@ -457,6 +457,9 @@ def normalized_name(name: str) -> str:
 
 
 def _unknown_message(material: str, files: tuple[Path, ...]) -> str:
+    longest_name = 80  # no name of a glass is longer; a damaged file may hold any text in its place
+    if len(material) > longest_name:
+        return f"unknown material {material[:longest_name]!r}... ({len(material)} characters)"
     if _is_number(material):
         return f"unknown material {material!r}; a constant index is a number, without quotation marks"
     maker, name = _split(material)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import GOLDEN
 from random_lenses import lenses, poses
 
 from lensdesign import InputError, Lens, MaterialError, Pose, files
-from lensdesign.files.draft import Supplement
+from lensdesign.files.draft import LossyImportError, Supplement
 from lensdesign.files.formats import LENS_FORMATS, WRITTEN_LENS_FORMATS, read_lens_file, write_lens_file
 from lensdesign.lens.shapes.even_asphere import without_zeros
 from lensdesign.lens.surface_figure_source import SurfaceFigureSource
@@ -139,3 +140,64 @@ def test_stated_wavelengths_replace_those_of_the_file(suffix: str, tmp_path: Pat
     assert found.first_order is not None
     with pytest.raises(InputError, match="wavelengths_um"):
         read_lens_file(path, Supplement(wavelengths_um=(0.0,)))
+
+
+SUPPLEMENT = Supplement(
+    working_distance_mm=100.0,
+    field_diameter_mm=1.0,
+    numerical_aperture=0.02,
+    pixel_pitch_um=3.2,
+    pixels=(1000, 800),
+)
+IMPORTS = GOLDEN / "imports"
+LONG = {
+    ".len": ("pk_ap.len", "GLA N-BK7\n", "N-BK7"),
+    ".seq": ("unused_private_glass.seq", " STO\n", "NBK7"),
+    ".zmx": ("unindented_record.zmx", "  TYPE STANDARD\n", "N-BK7"),
+}
+"""For each format a file, a line behind which a piece is inserted, and the name of a glass."""
+
+
+def with_piece(tmp_path: Path, suffix: str, piece: str) -> Path:
+    name, line, _ = LONG[suffix]
+    text = (IMPORTS / name).read_text(encoding="utf-8")
+    assert line in text
+    path = tmp_path / f"long{suffix}"
+    path.write_text(text.replace(line, f"{line}{piece}\n", 1))
+    return path
+
+
+@pytest.mark.parametrize("suffix", LONG)
+def test_many_lost_records_are_listed(tmp_path: Path, suffix: str) -> None:
+    """The time grows with the number of records; with its square, this would take many minutes."""
+    count = 100_000
+    path = with_piece(tmp_path, suffix, "\n".join(f"QQ{i:x} {i}" for i in range(count)))
+    with pytest.raises(LossyImportError) as caught:
+        read_lens_file(path, SUPPLEMENT)
+    assert len(caught.value.dropped) >= count
+    assert len(str(caught.value)) < 10_000
+
+
+@pytest.mark.parametrize("suffix", LONG)
+@pytest.mark.parametrize("piece", ['"\\', "'\"", "& ", "/ ", '"a" ', "; ", "(", "\\"])
+def test_a_long_line_gets_a_result_or_a_short_message(tmp_path: Path, suffix: str, piece: str) -> None:
+    """The time grows with the length of the line; with its square, this would take an hour."""
+    path = with_piece(tmp_path, suffix, "COM " + piece * 300_000)
+    message = ""
+    try:
+        read_lens_file(path, SUPPLEMENT, lossy=True)
+    except InputError as error:
+        message = str(error)
+    assert len(message) < 2_000
+
+
+@pytest.mark.parametrize("suffix", LONG)
+def test_a_long_name_of_a_glass_is_refused_in_a_short_message(tmp_path: Path, suffix: str) -> None:
+    name, _, glass = LONG[suffix]
+    path = tmp_path / f"long{suffix}"
+    text = (IMPORTS / name).read_text(encoding="utf-8")
+    assert glass in text
+    path.write_text(text.replace(glass, "Q" * 300_000))
+    with pytest.raises(InputError) as caught:
+        read_lens_file(path, SUPPLEMENT, lossy=True)
+    assert len(str(caught.value)) < 1_000
