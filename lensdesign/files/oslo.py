@@ -10,8 +10,10 @@ The reader supports
 - apertures AP CHK, which block rays, and the aperture stop AST; without AST, surface 1 is the stop;
 - the entrance beam radius EBR at surface 1 and the object NA NAO, the object height OBH, and wavelengths WV
   in um (the first one is the primary wavelength);
-- the solves PY and PU, and the pickups PK TH, PK THM and PK GLA of a preceding surface. The file holds no
-  present values of them, so the reader evaluates them in the order of the surfaces.
+- the solves PY, PU, PI, PYC, PUC, PIC and EC, and the pickups PK CV, TH, LN, GLA, AP, which
+  :mod:`lensdesign.files.oslo_surfaces` evaluates in the order of the surfaces, because the file holds no
+  present values of them;
+- the focus shift, which is the thickness of the image surface.
 
 It ignores weights, notes, thermal expansion, drawings, and the blocks VAR, OPE and RST behind the lens, which
 do not describe it. Every other command that a design cannot represent is reported as a loss. The focal length
@@ -43,6 +45,15 @@ from lensdesign.files.draft import (
     read_lines,
 )
 from lensdesign.files.index_tables import tabulated_index
+from lensdesign.files.oslo_surfaces import (
+    PICKUPS,
+    SOLVED_QUANTITIES,
+    TERMS,
+    Beam,
+    FileSurface,
+    Solve,
+    evaluate_solves,
+)
 from lensdesign.lens.catalogues.thermal import LOWEST_INDEX
 from lensdesign.lens.glass import list_glasses, refractive_index
 from lensdesign.lens.shapes.even_asphere import without_zeros
@@ -110,39 +121,11 @@ def read_len(
 
 
 @dataclass
-class FileSurface:
-    """Values of one surface, collected from its commands.
-
-    `glass` holds the words behind GLA and `glass_wavelengths_um` the wavelengths at that point of the file.
-    `given` maps a quantity that has a value to the command that gives it; `solved` maps a quantity to the
-    words and the location of a solve or pickup. `is_misread` tells that a loss changes the rays behind it.
-    """
-
-    name: str
-    location: str
-    curvature_per_mm: float = 0.0
-    radius_mm: float | None = None
-    thickness_mm: float = 0.0
-    glass: tuple[str, ...] = ()
-    glass_location: str = ""
-    glass_wavelengths_um: tuple[float, ...] = ()
-    material: str | float | None = None
-    conic: float = 0.0
-    terms: dict[str, float] = field(default_factory=dict)
-    semi_diameter_mm: float | None = None
-    unchecked_mm: float | None = None
-    stop: bool = False
-    given: dict[str, str] = field(default_factory=dict)
-    solved: dict[str, tuple[list[str], str]] = field(default_factory=dict)
-    is_misread: bool = False
-
-
-@dataclass
 class FileReader:
     """State of the reader of one file.
 
-    `aperture` is the system aperture as the file states it: EBR or NAO, its value, and its location. `block`
-    is the name of the open block behind the lens.
+    `aperture` is the system aperture as the file states it: EBR or NAO, its value, and its location. `field`
+    is OBH or ANG and its value. `block` is the name of the open block behind the lens.
     """
 
     draft: Draft
@@ -152,6 +135,7 @@ class FileReader:
     has_wavelengths: bool = False
     has_units: bool = False
     aperture: tuple[str, float, str] | None = None
+    field: tuple[str, float] | None = None
     ended: bool = False
     block: str = ""
 
@@ -289,14 +273,16 @@ _STRUCTURAL = ("GTO", "INS", "DEL", "REV", "INV")
 
 # Designer, notes, weights, and settings of analyses or drawings. They do not describe the lens. Fields at
 # infinity are angles (ANG) or image heights (GIH); a design needs an object height instead.
-_IDLE_WORDS = "DES NOT WW TCE ANG GIH DRW LDP CBK ELMDF1 ELMDF2 BDI BDD VX PF LMN LME DT"
+_IDLE_WORDS = "DES NOT WW TCE GIH DRW LDP CBK ELMDF1 ELMDF2 BDI BDD VX PF LMN LME DT"
 _IDLE = frozenset(_IDLE_WORDS.split())
 
 # Notes, weights, and the conditions of lens drawings (DLRS, DLNF, DLFD, ...).
 _IDLE_FORMS = re.compile(r"SNO\d+|WW\d+|DL[A-Z]{2}")
 
+_MOVED = "decenter or tilt"
+
 _LOST_IF_NOT_ZERO = {
-    **dict.fromkeys(("DCX", "DCY", "DCZ", "TLA", "TLB", "TLC", "TOX", "TOY", "TOZ"), "decenter or tilt"),
+    **dict.fromkeys(("DCX", "DCY", "DCZ", "TLA", "TLB", "TLC", "TOX", "TOY", "TOZ"), _MOVED),
     **dict.fromkeys(("CVX", "RDX"), "toroid or cylinder"),
     **dict.fromkeys(("AH", "AI", "AJ"), "asphere term"),
 }
@@ -325,7 +311,7 @@ def _lose(reader: FileReader, word: str, words: list[str], location: str) -> Non
     if word == "LMO" and values and values[0].upper() in ("ELE", "EGR"):  # elements, for drawings
         return
     surface = reader.surfaces[-1]
-    surface.is_misread = True
+    surface.is_misread, surface.is_moved = True, surface.is_moved or kind == _MOVED
     kind = kind or _LOST.get(word, "")
     reader.draft.add_loss(
         f"{surface.name}, {_line(location)}: {kind + ' ' if kind else ''}{quoted(' '.join(words))}"
@@ -410,40 +396,55 @@ def _stop(reader: FileReader, surface: FileSurface, word: str, values: list[str]
 
 
 def _solve(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
-    quantity = {"PY": "thickness", "PU": "radius"}[word]
+    quantity = SOLVED_QUANTITIES[word]
     _note_given(surface, quantity, word, location)
-    _value(word, values, location)
-    surface.solved[quantity] = ([word, *values], location)
-
-
-def _other_solve(
-    reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str
-) -> None:
-    raise InputError(
-        f"{location}: {surface.name} has the solve {quoted(' '.join([word, *values]))}, which is not "
-        "supported; replace it by its value in OSLO and save the file again"
-    )
+    if _value(word, values, location) < 0.0 and word == "EC":
+        raise InputError(f"{location}: EC of {values[0]}; the height of an edge must be at least 0")
+    surface.solved[quantity] = Solve((word, *values), location)
 
 
 def _pickup(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
     kind = values[0].upper() if values else ""
-    quantity = {"TH": "thickness", "THM": "thickness", "GLA": "medium"}.get(kind)
-    if quantity is None or len(values) not in ((2, 3) if quantity == "thickness" else (2,)):
-        _other_solve(reader, surface, word, values, location)
+    text = quoted(" ".join([word, *values]))
+    if kind in ("TD", "TDM") and len(values) == 2:
+        if reader.surfaces[_source(reader, surface, values[1], location)].is_moved:
+            surface.is_misread = surface.is_moved = True
+            reader.draft.add_loss(f"{surface.name}, {_line(location)}: {_MOVED} {text}")
         return
-    source = len(reader.surfaces) - 1 + _whole(values[1], location)
-    if not 0 <= source < len(reader.surfaces) - 1:
+    quantity, sources, optional = PICKUPS.get(kind, ("", 0, 0))
+    if not 0 < sources < len(values) <= 1 + sources + optional:
         raise InputError(
-            f"{location}: {surface.name} picks up from {quoted(values[1])}; only a preceding surface, "
-            "counted backwards (-1, -2, ...), is understood"
+            f"{location}: {surface.name} has the pickup {text}, which is not supported; replace it by its "
+            "value in OSLO and save the file again"
         )
+    first = _source(reader, surface, values[1], location)
+    named = [first]
+    if sources == 2:
+        current = len(reader.surfaces) - 1
+        is_current = _whole(values[2], location) == 0
+        named.append(current if is_current else _source(reader, surface, values[2], location))
+        if named[1] <= first:
+            raise InputError(f"{location}: {text} of {surface.name} ends in front of its first surface")
     _note_given(surface, quantity, f"PK {kind}", location)
-    for value in values[2:]:
+    if quantity == "radius":
+        for part in ("conic constant", *(f"asphere term {term}" for term in TERMS)):
+            _note_given(surface, part, f"PK {kind}", location)
+    for value in values[1 + sources :]:
         parse_number(value, location)
-    surface.solved[quantity] = ([word, kind, *values[1:]], location)
+    surface.solved[quantity] = Solve((word, kind, *values[1:]), location, tuple(named))
 
 
-_TERMS = ("AD", "AE", "AF", "AG")
+def _source(reader: FileReader, surface: FileSurface, text: str, location: str) -> int:
+    """Return the number of a preceding surface: absolute, or counted backwards if negative."""
+    current, number = len(reader.surfaces) - 1, _whole(text, location)
+    source = current + number if number < 0 else number
+    if not 0 <= source < current:
+        raise InputError(
+            f"{location}: {surface.name} picks up from {quoted(text)}; only a preceding surface, by its "
+            "number or counted backwards (-1, -2, ...), is understood"
+        )
+    return source
+
 
 _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, str, list[str], str], None]] = {
     "RD": _radius,
@@ -454,9 +455,8 @@ _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, str, list[str], str], 
     "AP": _aperture,
     "CC": _conic,
     "AST": _stop,
-    **dict.fromkeys(_TERMS, _term),
-    **dict.fromkeys(("PY", "PU"), _solve),
-    **dict.fromkeys(("PYC", "PUC", "PI", "PIC", "EC"), _other_solve),
+    **dict.fromkeys(TERMS, _term),
+    **dict.fromkeys(SOLVED_QUANTITIES, _solve),
     "PK": _pickup,
 }
 
@@ -484,7 +484,12 @@ def _system_aperture(word: str) -> Callable[[FileReader, list[str], str], None]:
 
 
 def _object_height(reader: FileReader, values: list[str], location: str) -> None:
-    reader.draft.half_field_mm = abs(_value("OBH", values, location))
+    reader.field = ("OBH", _value("OBH", values, location))
+    reader.draft.half_field_mm = abs(reader.field[1])
+
+
+def _field_angle(reader: FileReader, values: list[str], location: str) -> None:
+    reader.field = ("ANG", _value("ANG", values, location))
 
 
 def _wavelengths(reader: FileReader, values: list[str], location: str) -> None:
@@ -516,6 +521,7 @@ _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
     "EBR": _system_aperture("EBR"),
     "NAO": _system_aperture("NAO"),
     "OBH": _object_height,
+    "ANG": _field_angle,
     "WV": _wavelengths,
 }
 
@@ -547,16 +553,26 @@ def _check_complete(reader: FileReader, supplement: Supplement) -> None:
         )
     draft.wavelengths_um = reader.wavelengths_um
     image = reader.surfaces[-1]
-    if image.thickness_mm or "thickness" in image.solved:
-        draft.add_loss(f"{image.name}: focus shift (TH of the image surface)")
-        image.thickness_mm = 0.0
-        image.solved.pop("thickness", None)
+    if "thickness" in image.solved:
+        draft.add_loss(f"{image.name}: focus shift by {quoted(image.solved.pop('thickness').text)}")
+    _pick_up_apertures(reader)
     unchecked = [s for s in reader.surfaces[1:-1] if s.unchecked_mm is not None]
     if unchecked:
         draft.add_remark(
             "apertures that do not block rays (AP without CHK) were ignored: "
             + ", ".join(f"{s.name} {s.unchecked_mm:.6g} mm" for s in unchecked)
         )
+
+
+def _pick_up_apertures(reader: FileReader) -> None:
+    """Replace pickups of apertures by their values, which do not block rays."""
+    for surface in reader.surfaces:
+        solve = surface.solved.pop("aperture", None)
+        if solve is not None:
+            source = reader.surfaces[solve.sources[0]]
+            surface.unchecked_mm = source.semi_diameter_mm or source.unchecked_mm
+            value = f"an aperture of {surface.unchecked_mm:.6g} mm" if surface.unchecked_mm else "none"
+            reader.draft.add_remark(f"{surface.name}: {solve.text} replaced by its value, {value}")
 
 
 def _set_stop(reader: FileReader) -> None:
@@ -592,10 +608,10 @@ def _set_aperture(reader: FileReader) -> None:
 
 def _set_materials(reader: FileReader, supplement: Supplement) -> None:
     """Set the medium behind each surface, in order, because a pickup copies a preceding one."""
-    for i, surface in enumerate(reader.surfaces):
-        if "medium" in surface.solved:
-            (_, _, step), _ = surface.solved["medium"]
-            surface.material = reader.surfaces[i + int(step)].material
+    for surface in reader.surfaces:
+        solve = surface.solved.pop("medium", None)
+        if solve is not None:
+            surface.material = reader.surfaces[solve.sources[0]].material
             reader.draft.add_remark(
                 f"{surface.name}: pickup of the glass replaced by {surface.material or 'AIR'}"
             )
@@ -674,58 +690,15 @@ def _catalog_glass(reader: FileReader, surface: FileSurface, name: str, suppleme
 
 
 def _evaluate_solves(reader: FileReader, supplement: Supplement) -> None:
-    """Replace solves and pickups by their values, in the order of the surfaces.
-
-    The paraxial marginal ray determines a solve. PU gives the curvature behind which the ray has a slope, and
-    PY the thickness at whose end it has a height.
-    """
-    front, *inner, image = reader.surfaces
-    for surface in (front, image):
-        for quantity, (words, location) in surface.solved.items():
-            if quantity != "medium":
-                raise InputError(
-                    f"{location}: the solve {quoted(' '.join(words))} of {surface.name}; only surfaces "
-                    "between the object and the image may have solves"
-                )
-    height, slope = _marginal_ray(reader)
-    index, misread = 1.0, front.is_misread or front.material is not None
-    for i, surface in enumerate(inner, start=1):
-        misread = misread or surface.is_misread
-        behind = _index(reader, surface, supplement)
-        if "radius" in surface.solved:
-            target = _solve_target(reader, surface, "radius", misread)
-            power = (index - behind) * height
-            curvature = (behind * target - index * slope) / power if power else math.nan
-            surface.curvature_per_mm = _solved_value(reader, surface, "radius", curvature)
-            surface.radius_mm = 1.0 / curvature if curvature else None
-        slope = (index * slope - (behind - index) * surface.curvature_per_mm * height) / behind
-        if "thickness" in surface.solved:
-            words, location = surface.solved["thickness"]
-            if words[0] == "PK":
-                source = reader.surfaces[i + int(words[2])].thickness_mm
-                offset = parse_number(words[3], location) if len(words) > 3 else 0.0
-                thickness = (-source if words[1] == "THM" else source) + offset
-            else:
-                target = _solve_target(reader, surface, "thickness", misread)
-                thickness = (target - height) / slope if slope else math.nan
-            surface.thickness_mm = _solved_value(reader, surface, "thickness", thickness)
-        height += surface.thickness_mm * slope
-        index = behind
-
-
-def _marginal_ray(reader: FileReader) -> tuple[float, float]:
-    """Return height and slope of the paraxial marginal ray at surface 1.
-
-    Without a system aperture, the height at surface 1 is 1 mm.
-    """
-    distance = reader.surfaces[0].thickness_mm
-    word, value, _ = reader.aperture or ("EBR", 1.0, "")
-    if reader.is_infinite:
-        return value, 0.0
-    if word == "NAO":
-        tangent = math.tan(math.asin(value))
-        return tangent * distance, tangent
-    return value, value / distance if distance else math.nan
+    """Replace solves and pickups by their values."""
+    aperture = None if reader.aperture is None else reader.aperture[:2]
+    beam = Beam(reader.surfaces[0].thickness_mm, aperture, reader.field)
+    evaluate_solves(
+        reader.surfaces,
+        beam,
+        lambda surface: _index(reader, surface, supplement),
+        reader.draft.add_remark,
+    )
 
 
 def _index(reader: FileReader, surface: FileSurface, supplement: Supplement) -> float:
@@ -735,42 +708,6 @@ def _index(reader: FileReader, surface: FileSurface, supplement: Supplement) -> 
         return refractive_index(surface.material, reader.wavelengths_um[0], supplement.glass_catalogs)
     except MaterialError as error:
         raise MaterialError(f"{surface.glass_location}: {error}") from error
-
-
-def _solve_target(reader: FileReader, surface: FileSurface, quantity: str, misread: bool) -> float:
-    """Return the height or slope that a solve asks for.
-
-    Raises
-    ------
-    InputError
-        If the marginal ray at the surface is not known.
-    """
-    words, location = surface.solved[quantity]
-    target = parse_number(words[1], location)
-    reason = ""
-    if misread:
-        reason = "a surface up to this one has contents that a design cannot represent"
-    elif reader.aperture is None and (target or words[0] == "PU"):
-        reason = "the file lacks EBR and NAO"
-    if reason:
-        raise InputError(
-            f"{location}: the solve {quoted(' '.join(words))} of {surface.name} cannot be evaluated: {reason}"
-        )
-    return target
-
-
-def _solved_value(reader: FileReader, surface: FileSurface, quantity: str, value: float) -> float:
-    """Return the value of a solve or a pickup, and add a remark on it."""
-    words, location = surface.solved[quantity]
-    text = " ".join(words)
-    if math.isnan(value):
-        raise InputError(
-            f"{location}: no {quantity} of {surface.name} meets the solve {quoted(text)}: the marginal ray "
-            "runs along the axis or parallel to it"
-        )
-    name, shown = ("curvature", f"{value:.8g} /mm") if quantity == "radius" else (quantity, f"{value:.8g} mm")
-    reader.draft.add_remark(f"{surface.name}: {text} replaced by its value, a {name} of {shown}")
-    return value
 
 
 def _finished(reader: FileReader) -> Draft:
@@ -785,7 +722,7 @@ def _finished(reader: FileReader) -> Draft:
                 surface.location,
                 surface.radius_mm,
                 surface.conic,
-                {"asphere": without_zeros([surface.terms.get(letter, 0.0) for letter in _TERMS])},
+                {"asphere": without_zeros([surface.terms.get(letter, 0.0) for letter in TERMS])},
                 surface.thickness_mm,
                 surface.material,
                 surface.semi_diameter_mm,
@@ -796,4 +733,5 @@ def _finished(reader: FileReader) -> Draft:
             RecordedSurface(surface.curvature_per_mm, surface.thickness_mm, surface.material, surface.stop)
         )
     draft.check_object_and_image()
+    draft.apply_focus_shift()
     return draft

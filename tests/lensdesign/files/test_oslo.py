@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from places import GOLDEN
 from random_lenses import lenses
 
 from lensdesign import InputError, Lens, MaterialError, Pose
@@ -267,7 +268,7 @@ LOSSES = [
     ("UNI", "TELE ON\nUNI", "surface 0, line 6: telecentric"),
     ("UNI", "APCK OFF\nUNI", "surface 0, line 6: 'APCK OFF'"),
     ("END  5", "CALLBACK 1\nEND 5", "surface 5, line 37: commands that OSLO runs"),
-    ("END  5", "TH 0.1\nEND 5", "surface 5: focus shift"),
+    ("END  5", "PK TH -2\nEND 5", "surface 5: focus shift by 'PK TH -2'"),
     ("END  5", "RD 99\nEND 5", "surface 5: curved image surface"),
     ("AIR\nTH   200", "AIR\nRD -300\nTH 200", "surface 0: curved object surface"),
     ("AIR\nTH   200", "GLA N-BK7\nTH 200", "surface 0: object in N-BK7"),
@@ -316,15 +317,21 @@ FAULTS = [
     ("RD   110.0", "RD 110\nRD 120", "line 15: RD gives the radius of surface 1, which RD gives already"),
     ("TH   8.0", "TH 8.0\nPY 0", "PY gives the thickness of surface 1, which TH gives already"),
     ("TH   8.0", "TH -8.0", "the next surface lies -8 mm behind surface 1"),
-    ("TH   8.0", "EC 12", "line 15: surface 1 has the solve 'EC 12', which is not supported"),
-    ("TH   8.0", "PYC 0", "solve 'PYC 0', which is not supported"),
-    ("TH   8.0", "PK LN -1 0", "solve 'PK LN -1 0', which is not supported"),
-    ("RD   110.0", "PK CV -1", "solve 'PK CV -1', which is not supported"),
-    ("TH   8.0", "PK TH 0", "picks up from '0'; only a preceding surface"),
+    ("TH   8.0", "EC 120", "line 15: the solve 'EC 120' of surface 1 .* does not reach that height"),
+    ("TH   8.0", "EC -1", "line 15: EC of -1"),
+    ("TH   8.0", "PYC 0", "the solve 'PYC 0' of surface 1 .* in front of the aperture stop"),
+    ("RD   110.0", "PUC 0", "the solve 'PUC 0' of surface 1 .* in front of the aperture stop"),
+    ("TH   8.0", "PK LN -1", "the pickup 'PK LN -1', which is not supported"),
+    ("TH   8.0", "PK LN -1 -2", "picks up from '-2'"),
+    ("TH   4.0", "PK LN -1 -1", "'PK LN -1 -1' of surface 2 ends in front of its first surface"),
+    ("TH   8.0", "PK AAP -1", "the pickup 'PK AAP -1', which is not supported"),
+    ("TH   8.0", "PK GLA -1 2", "the pickup 'PK GLA -1 2', which is not supported"),
+    ("RD   -95.0", "PK CV -1; CC -1", "CC gives the conic constant of surface 2, which PK CV gives already"),
+    ("TH   8.0", "PK TH 1", "picks up from '1'; only a preceding surface"),
     ("TH   8.0", "PK TH -3", "picks up from '-3'"),
     ("TH   8.0", "PK TH x", "'x' must be a whole number"),
     ("RD   -300.0", "RD -300; PFL 50\nPU 0.1", "PU gives the radius"),
-    ("AIR\nTH   200.0", "AIR\nPY 0", "the solve 'PY 0' of surface 0"),
+    ("AIR\nTH   200.0", "AIR\nPY 0", "line 10: the solve 'PY 0' of surface 0"),
     ("AP CHK 14.5", "AP CHK -1", "AP of -1"),
     ("AP CHK 14.5", "AP WHAT 3", "AP has 2 values"),
     ("GLA N-BK7", "GLA", "line 13: GLA without a glass"),
@@ -496,3 +503,152 @@ def test_conditions_of_drawings_do_not_describe_the_lens(tmp_path: Path) -> None
     path.write_text(text + "DLR 3\n")
     with pytest.raises(LossyImportError, match="line 3: 'DLR 3'"):
         read_len(path, supplement)
+
+
+def test_a_picked_up_aperture_changes_no_ray(tmp_path: Path) -> None:
+    path = GOLDEN / "imports" / "pk_ap.len"
+    result = read_len(path, SENSOR)
+    assert result.dropped == ()
+    assert "surface 2: PK AP -1 replaced by its value, none" in result.remarks
+    plain = read_len(saved(tmp_path, path.read_text().replace("PK AP -1\n", "")), SENSOR)
+    assert result.lens == plain.lens
+    given = read(tmp_path, SAVED, "RD   -300.0", "RD -300\nPK AP -1")
+    assert "surface 3: PK AP -1 replaced by its value, an aperture of 14.5 mm" in given.remarks
+    assert given.lens == read(tmp_path, SAVED).lens
+
+
+@pytest.mark.parametrize(
+    ("command", "radius", "sign"),
+    [
+        ("PK CV -1", -95.0, 1),
+        ("PK CV 2", -95.0, 1),
+        ("PK CVM -1", 95.0, -1),
+        ("PK CV -1 0.001", 1.0 / (-1.0 / 95.0 + 0.001), 1),
+    ],
+)
+def test_a_picked_up_profile(tmp_path: Path, command: str, radius: float, sign: int) -> None:
+    """Curvature with conic constant and asphere terms; PK CVM is the mirror image."""
+    text = SAVED.replace("RD   -95.0", "RD -95\nCC -0.5\nAD 1e-7")
+    lens = read(tmp_path, text, "RD   -300.0", command).lens
+    assert lens.surfaces[2].radius_mm == pytest.approx(radius, rel=1e-12)
+    assert (lens.surfaces[2].conic, lens.surfaces[2].asphere) == (-0.5, (sign * 1e-7,))
+
+
+@pytest.mark.parametrize(
+    ("command", "thickness"),
+    [("PK LN -2 -1", 8.0), ("PK LN -2 0", 12.0), ("PK LNM -2 0 22", 10.0), ("PK LN 1 2 1.5", 9.5)],
+)
+def test_a_picked_up_length(tmp_path: Path, command: str, thickness: float) -> None:
+    lens = read(tmp_path, SAVED, "TH   10.0", command).lens
+    assert lens.surfaces[2].thickness_mm == pytest.approx(thickness, rel=1e-12)
+
+
+def test_decenters_are_picked_up_only_where_there_are_some(tmp_path: Path) -> None:
+    assert read(tmp_path, SAVED, "RD   -300.0", "RD -300\nPK TD -1").lens == read(tmp_path, SAVED).lens
+    with pytest.raises(LossyImportError, match="surface 3, line 27: decenter or tilt 'PK TD -1'"):
+        read(tmp_path, SAVED.replace("RD   -95.0", "RD -95; TLA 1"), "RD   -300.0", "RD -300\nPK TD -1")
+
+
+def test_edges_touch_at_the_height_of_the_solve(tmp_path: Path) -> None:
+    """sag = R - sqrt(R^2 - h^2): the lens is as thick as both of its sags at the edge."""
+    lens = read(tmp_path, SAVED, "TH   8.0", "EC 20").lens
+    expected = (110.0 - math.sqrt(110.0**2 - 400.0)) + (95.0 - math.sqrt(95.0**2 - 400.0))
+    assert lens.surfaces[0].thickness_mm == pytest.approx(expected, rel=1e-12)
+    picked = SAVED.replace("RD   -95.0", "PK CVM -1")
+    lens = read(tmp_path, picked, "TH   8.0", "EC 20").lens
+    assert lens.surfaces[0].thickness_mm == pytest.approx(2.0 * (110.0 - math.sqrt(110.0**2 - 400.0)))
+
+
+STOP_FIRST = """LEN NEW "chief" 100 4
+NAO 0.05
+OBH -10.0
+UNI 1.0
+TH 200.0
+NXT
+AST
+TH 12.0
+NXT
+GLA 1.5
+RD 60.0
+TH 6.0
+NXT
+AIR
+RD -80.0
+TH 90.0
+NXT
+WV 0.58756
+END 4
+"""
+
+
+def chief_ray(lens: Lens, height_mm: float) -> tuple[list[float], list[float], list[float]]:
+    """Return heights, slopes behind, and angles of incidence of the paraxial ray through the stop."""
+    y, u, index = 0.0, -height_mm / lens.object.working_distance_mm, 1.0
+    heights, slopes, angles = [], [], []
+    for surface, behind in zip(lens.surfaces, lens.indices(0.58756)[1:], strict=True):
+        curvature = 0.0 if surface.radius_mm is None else 1.0 / surface.radius_mm
+        heights.append(y)
+        angles.append(u + y * curvature)
+        u = (index * u - (behind - index) * curvature * y) / behind
+        slopes.append(u)
+        y, index = y + (surface.thickness_mm or lens.sensor.plane_distances_mm[0]) * u, float(behind)
+    return [*heights, y], slopes, angles
+
+
+@pytest.mark.parametrize(
+    ("old", "command", "which", "place", "target"),
+    [
+        ("TH 90.0", "PYC 3.5", 0, 3, 3.5),
+        ("TH 12.0", "PYC 0.5", 0, 1, 0.5),
+        ("RD -80.0", "PUC 0.02", 1, 2, 0.02),
+        ("RD 60.0", "PUC 0.01", 1, 1, 0.01),
+        ("RD -80.0", "PIC 0.01", 2, 2, 0.01),
+    ],
+)
+def test_solves_of_the_chief_ray(
+    tmp_path: Path, old: str, command: str, which: int, place: int, target: float
+) -> None:
+    lens = read(tmp_path, STOP_FIRST, old, command).lens
+    assert chief_ray(lens, -10.0)[which][place] == pytest.approx(target, rel=1e-10)
+
+
+def test_the_chief_ray_meets_the_center_of_a_stop_behind_lenses(tmp_path: Path) -> None:
+    """The exact ray near the axis that crosses the stop's center has the height of the solve at the image."""
+    text = SAVED.replace("OBH  -10.0", "OBH -0.001")
+    lens = read(tmp_path, text, "TH   190.0", "PYC 0.0008").lens
+    slopes = np.array([0.0, 1e-6])
+    origins = np.array([[0.0, -0.001, lens.object_z_mm]] * 2)
+    directions = np.column_stack([np.zeros(2), slopes, np.ones(2)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    at_stop = trace(lens, origins, directions, 0.58756, Pose(), lens.vertex_z_mm[3], clip=False).position
+    at_image = trace(lens, origins, directions, 0.58756, Pose(), lens.sensor_z_mm[0], clip=False).position
+    fraction = -at_stop[0, 1] / (at_stop[1, 1] - at_stop[0, 1])
+    height = at_image[0, 1] + fraction * (at_image[1, 1] - at_image[0, 1])
+    assert height == pytest.approx(0.0008, rel=1e-6)
+
+
+def test_an_angle_of_incidence_of_the_marginal_ray(tmp_path: Path) -> None:
+    """At surface 1 the ray has the slope tan u of NA 0.05; its angle of incidence is u + y / R."""
+    lens = read(tmp_path, SAVED, "RD   110.0", "PI 0.15").lens
+    tangent = math.tan(math.asin(0.05))
+    assert lens.surfaces[0].radius_mm == pytest.approx(200.0 * tangent / (0.15 - tangent), rel=1e-12)
+
+
+def test_the_chief_ray_of_an_object_at_infinity(tmp_path: Path) -> None:
+    """Behind a stop in front of a thin lens in its front focus, the chief ray runs parallel to the axis."""
+    far = STOP_FIRST.replace("TH 200.0", "TH 1e20").replace("NAO 0.05", "EBR 1").replace("OBH -10.0", "ANG 5")
+    lens = read(tmp_path, far, "RD -80.0", "PUC 0.0", far=True).lens
+    front_focus_mm = first_order(lens).efl_mm
+    assert front_focus_mm > 0.0
+    heights, slopes, _ = chief_ray(lens, -math.tan(math.radians(5.0)) * lens.object.working_distance_mm)
+    assert slopes[2] == pytest.approx(0.0, abs=1e-12)
+    assert heights[3] == pytest.approx(heights[2], rel=1e-12)
+
+
+def test_the_thickness_of_the_image_surface_moves_the_sensor(tmp_path: Path) -> None:
+    result = read(tmp_path, SAVED, "AIR\nWV 0.58756\nWW", "AIR\nTH 0.25\nWV 0.58756\nWW")
+    assert (result.lens.sensor.plane_distances_mm, result.dropped) == ((190.25,), ())
+    solved = read(tmp_path, SAVED.replace("TH   190.0", "PY 0.0"), "END  5", "TH -0.5\nEND 5")
+    assert solved.first_order is not None
+    planes = solved.lens.sensor.plane_distances_mm
+    assert planes[0] == pytest.approx(solved.first_order.image_distance_mm - 0.5, rel=1e-9)
