@@ -9,10 +9,29 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from lensdesign.errors import InputError
 from studio.model.document import cache_folder
 
 MAX_RECENT, MAX_ENTRIES = 8, 2000
 """Largest numbers of recent files, and of entries of a folder that are shown."""
+
+
+def typed_path(text: str) -> Path:
+    """Return the path that a user has typed; ``~`` and ``~name`` are folders of users.
+
+    Raises
+    ------
+    InputError
+        If no path has this form: a user that does not exist, a name of more than 255 bytes, or a NUL.
+    """
+    name = text.strip()
+    longest = 255  # bytes of a name
+    if "\0" in name or any(len(os.fsencode(part)) > longest for part in Path(name).parts):
+        raise InputError(f"{name:.80}: a name of more than {longest} bytes, or with a NUL; give another path")
+    try:
+        return Path(name).expanduser()
+    except RuntimeError as error:
+        raise InputError(f"{name:.80}: {error}; give another path") from None
 
 
 def listing(path: str, suffixes: Sequence[str] = ()) -> dict[str, Any]:
@@ -31,7 +50,10 @@ def listing(path: str, suffixes: Sequence[str] = ()) -> dict[str, Any]:
         ``folder`` and ``parent`` as absolute paths (an empty parent at the root), ``entries`` as pairs of a
         name and whether it is a folder, and ``error``, a message if the folder cannot be read.
     """
-    folder = Path(os.path.abspath(Path(path).expanduser()))
+    try:
+        folder = Path(os.path.abspath(typed_path(path)))
+    except InputError as refusal:
+        return {"folder": "", "parent": "", "entries": [], "error": str(refusal)}
     while not folder.is_dir() and folder != folder.parent:
         folder = folder.parent
     found: list[tuple[str, bool]] = []
@@ -58,7 +80,7 @@ def listing(path: str, suffixes: Sequence[str] = ()) -> dict[str, Any]:
 
 def recent(kind: str) -> list[str]:
     """Return the paths of one kind that were used last and still exist, the newest first."""
-    return [path for path in _read().get(kind, []) if isinstance(path, str) and Path(path).exists()]
+    return [path for path in _read().get(kind, []) if isinstance(path, str) and os.path.exists(path)]
 
 
 def remember(kind: str, path: Path) -> None:

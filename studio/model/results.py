@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
@@ -28,8 +29,8 @@ PICTURES = (
 CHARTS = ("curves.png", "calibration.png")
 """Pictures without images, all of whose colours may be inverted."""
 
-MAX_BYTES = 64_000_000
-"""Largest size of a file that is shown."""
+MAX_BYTES, MAX_PIXELS = 64_000_000, 2**25
+"""Largest size of a picture that is shown in bytes and in pixels, checked before pixels are decoded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +76,27 @@ def read_folder(folder: Path, report: Callable[[str], None]) -> FolderContents:
     pictures = tuple(
         (name, data := path.read_bytes(), dark_picture(data, name in CHARTS))
         for name in PICTURES
-        if (path := folder / name).is_file() and path.stat().st_size <= MAX_BYTES
+        if _is_shown(path := folder / name)
     )
     report("creating the zoomable page")
     explained = verdict.get("explained") if isinstance(verdict, dict) else None
     words = str(verdict.get("words", "")) if isinstance(verdict, dict) else ""
     return FolderContents(words, explained, tuple(_facts(values)), pictures, _page(folder))
+
+
+def _is_shown(path: Path) -> bool:
+    """Return whether a file is a picture of a size that the page shows."""
+    from PIL import Image
+
+    if not path.is_file() or path.stat().st_size > MAX_BYTES:
+        return False
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as picture:
+            return picture.width * picture.height <= MAX_PIXELS
+    except Image.DecompressionBombError:
+        return False
+    except (OSError, ValueError, SyntaxError):
+        return True  # the browser shows what it can
 
 
 def dark_picture(data: bytes, is_chart: bool) -> bytes:

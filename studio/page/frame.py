@@ -13,7 +13,7 @@ from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 from studio import panes
 from studio.model.bench import Workbench
-from studio.model.files import remember
+from studio.model.files import remember, typed_path
 from studio.panes.common import follow, text
 from studio.panes.files import PICKER_SCRIPT, PICKER_STYLE, PickerPart
 from studio.panes.rays import field_heights
@@ -74,8 +74,8 @@ def _bar(bench: Workbench, main: pn.Column) -> Bar:
         elif action == "redo":
             bench.redo()
         elif action in ("save", "open"):
-            path = Path(str(message.get("file") or bench.document.path)).expanduser()
             try:
+                path = typed_path(str(message.get("file") or bench.document.path))
                 if action == "open":
                     bench.open(path)
                 else:

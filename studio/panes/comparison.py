@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import panel as pn
@@ -13,7 +12,7 @@ from lensdesign.errors import TransferLensError
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.files import remember
+from studio.model.files import remember, typed_path
 from studio.panes.common import bench_of, explanation, follow, message, message_pane, text
 from studio.panes.files import FileChoice
 
@@ -63,8 +62,8 @@ def compare(lens: Workbench | Lens) -> pn.Column:
 
     def add_design(_: object) -> None:
         note.object = ""
-        path = Path(name.value.strip()).expanduser()
         try:
+            path = typed_path(name.value)
             if len(others) + 1 >= 3:  # at most three designs are compared
                 others.pop(next(iter(others)))
             others[path.name] = load_design(path)

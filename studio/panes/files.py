@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import param
@@ -60,13 +59,13 @@ class FileChoice(PickerPart):
     def __init__(
         self,
         kind: str,
-        on_action: Callable[[str, Path], None] | None = None,
+        on_action: Callable[[str, str], None] | None = None,
         actions: Sequence[Sequence[str]] = (),
         **params: Any,
     ) -> None:
         def received(message: dict[str, Any]) -> None:
             if on_action is not None and "action" in message and message.get("path"):
-                on_action(str(message["action"]), Path(str(message["path"])))
+                on_action(str(message["action"]), str(message["path"]))
 
         params = {"margin": (5, 10)} | params
         super().__init__(kind, received, actions=[list(one) for one in actions], **params)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import panel as pn
 
 from lensdesign.errors import TransferLensError
@@ -11,6 +9,7 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.built import manufacturing_quality
 from studio.model.exports import KINDS, write_export
+from studio.model.files import typed_path
 from studio.model.jobs import Job
 from studio.panes.common import bench_of, explanation, follow, message, message_pane, text
 from studio.panes.files import FileChoice
@@ -30,8 +29,8 @@ def export(lens: Workbench | Lens) -> pn.Column:
     kind.param.watch(lambda event: setattr(file, "value", _name(bench, event.new)), "value")
 
     def start(_: object) -> None:
-        path = Path(file.value.strip()).expanduser()
         try:
+            path = typed_path(file.value)
             quality = None if path.suffix else manufacturing_quality(bench.grade, bench.lens)
         except TransferLensError as error:
             note.object = message(text(error), is_bad=True)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from base64 import b64encode
 from html import escape
-from pathlib import Path
 
 import panel as pn
 
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.files import remember
+from studio.model.files import remember, typed_path
 from studio.model.jobs import Job
 from studio.model.results import FolderContents, read_folder
 from studio.panes.common import bench_of, explanation, follow, message, message_pane, text
@@ -33,7 +33,11 @@ def result_folder_pane(lens: Workbench | Lens) -> pn.Column:
     def start(_: object) -> None:
         if session.opened_folder is not None:
             session.opened_folder.cancel()
-        path = Path(name.value.strip()).expanduser()
+        try:
+            path = typed_path(name.value)
+        except InputError as error:
+            note.object = message(text(error), is_bad=True)
+            return
         remember("folders", path)
         session.opened_folder = Job(read_folder, (path,), bench.notify)
         bench.notify()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,10 @@ import panel as pn
 
 from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.common.text import quantity_text, relation_symbol, words_and_unit
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.files import remember
+from studio.model.files import remember, typed_path
 from studio.panes.common import Guarded, bench_of, follow, message_pane, text
 from studio.panes.files import FileChoice
 from tolerancing.perturbations.grades import GRADES
@@ -68,9 +70,10 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
 
     chosen.param.watch(choose_grade, "value")
 
-    def choose_study(_: str, path: Path) -> None:
-        remember(STUDIES, path)
-        bench.set_grade(str(path))
+    def choose_study(_: str, name: str) -> None:
+        with suppress(InputError):
+            remember(STUDIES, typed_path(name))
+        bench.set_grade(name)
 
     study = FileChoice(
         STUDIES,

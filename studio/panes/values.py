@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import panel as pn
@@ -13,7 +12,7 @@ from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.editing import with_stop, with_surface_after, without_surface
-from studio.model.files import remember
+from studio.model.files import remember, typed_path
 from studio.model.values import Value, glasses_like, parsed, values_of
 from studio.model.whatif import DeviationRange, WhatIf, deviations_of, read_what_if
 from studio.panes.common import HERE, ScriptPart, bench_of, follow, message, message_pane, text
@@ -129,10 +128,10 @@ STATES = "states"
 """Name of the list of recent files with deviations."""
 
 
-def _transferred(bench: Workbench, action: str, path: Path) -> str:
+def _transferred(bench: Workbench, action: str, name: str) -> str:
     """Load or save the deviations, and return the markup of a message."""
-    path = path.expanduser()
     try:
+        path = typed_path(name)
         if action == "load":
             bench.set_what_if(read_what_if(path, bench.lens))
             done = f"loaded {path}"

@@ -1,8 +1,8 @@
 """Reader of picture files: frames, objects, dark frames, flat fields and maps of pixels.
 
 All kinds of picture pass the same checks. Pixels are oriented upright by the TIFF tag or EXIF data, as in
-viewers. The reader reports whether white is zero, the number of pictures, and the storage of samples; the
-caller decides what it accepts.
+viewers. The reader reports whether white is zero, the number of pictures, and the kind of samples; the caller
+decides what it accepts. tifffile reads TIFF files, and Pillow all other formats.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ import io
 import logging
 import math
 import re
-import struct
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,16 +27,17 @@ from lensdesign.errors import InputError
 FRAME_FORMATS = ("TIFF", "PNG")
 """Lossless formats of cameras."""
 
-ORIENTATION, PHOTOMETRIC = 274, 262
+MOST_PIXELS = 2**27
+"""Largest number of pixels of a picture: twice that of a 65-megapixel sensor."""
+
+MOST_PICTURES = 10_000
+"""Largest number of pictures in a file."""
+
+ORIENTATION, PHOTOMETRIC, SOFTWARE = 274, 262, 305
 """TIFF tags; EXIF also has the first one."""
 
-GREY_MODES = ("1", "L", "I;16", "I;16L", "I;16B", "I", "F")
-"""Pillow's names for one channel."""
-
-COUNT_MODES = ("L", "I;16", "I;16L", "I;16B")
-"""Pillow's names for unsigned integers of at most 16 bits."""
-
-_UNSIGNED, _SIGNED, _FLOAT = 1, 2, 3
+Kind = Literal["grey", "palette", "colours"]
+"""Kind of the stored samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +50,14 @@ class Picture:
         The file.
     format : str
         Format, such as "TIFF" or "PNG".
-    mode : str
-        Kind of pixels, by Pillow's name.
+    kind : {"grey", "palette", "colours"}
+        Kind of the stored samples.
     bits : int
         Bits of a stored sample.
     values : ndarray, shape (rows, columns)
-        Stored values of one channel; for colours, palettes and pictures with alpha the 8-bit luma of ITU-R
-        BT.601.
+        Stored values of one channel; for colours and palettes the luma of ITU-R BT.601, as whole numbers.
+    full_scale : int
+        Largest possible value; 0 for floating-point numbers.
     white_is_zero : bool
         Whether the value 0 means white.
     is_opaque : bool
@@ -67,9 +68,10 @@ class Picture:
 
     path: Path
     format: str
-    mode: str
+    kind: Kind
     bits: int
     values: NDArray[Any]
+    full_scale: int
     white_is_zero: bool
     is_opaque: bool
     states_alpha: bool
@@ -77,7 +79,17 @@ class Picture:
     @property
     def is_grey(self) -> bool:
         """True if `values` are the stored values of one channel."""
-        return self.mode in GREY_MODES and not self.states_alpha
+        return self.kind == "grey" and not self.states_alpha
+
+    @property
+    def has_counts(self) -> bool:
+        """True if `values` are whole numbers of at most 16 bits, without a sign."""
+        return self.values.dtype.kind == "u" and self.bits <= 16
+
+    def __str__(self) -> str:
+        numbers = {"f": "floating-point numbers", "i": "numbers with a sign", "b": "black and white"}
+        samples = numbers.get(self.values.dtype.kind, f"samples of {self.bits} bits")
+        return f"a {self.format}, {self.kind}, {samples}{', with transparency' if self.states_alpha else ''}"
 
 
 class PictureFile:
@@ -102,24 +114,23 @@ class PictureFile:
     Raises
     ------
     InputError
-        If the file cannot be read, is damaged, has another format, or contains fewer pictures than it states.
+        If the file cannot be read, is damaged, has another format, contains fewer pictures than it states, or
+        states more than 2**27 pixels for one.
     """
 
     def __init__(self, path: Path, named: str = "", formats: tuple[str, ...] | None = None) -> None:
         self.path, self._named, self._formats = path, named, formats
-        self._data = read_input(path, 4 * TABLE_BYTES, InputError, named)
-        self.description = ""
-        self._contiguous: NDArray[Any] | None = None
+        data = read_input(path, 4 * TABLE_BYTES, InputError, named)
         # First bytes of a TIFF and of a BigTIFF file.
         tiff_starts = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-        if self._data[:4] in tiff_starts:
-            with self._reported():
-                self._read_structure()
-        else:
-            with self._reported(), self._opened() as image:
-                self.count = int(getattr(image, "n_frames", 1))
-                orientation = int(image.getexif().get(ORIENTATION, 1))
-                self._pages = [_Page(n, orientation, False, 8, _UNSIGNED) for n in range(self.count)]
+        with self._reported():
+            if data[:4] not in tiff_starts:
+                self._pictures: _Pictures = _PillowPictures(data, formats)
+            elif formats is None or "TIFF" in formats:
+                self._pictures = _TiffPictures(data)
+            else:
+                raise InputError(f"{self._who}: is a TIFF; allowed: {', '.join(formats)}")
+        self.count, self.description = self._pictures.count, self._pictures.description
 
     def single_picture(self, channel: int | None = None) -> Picture:
         """Return the picture of a file with a single picture.
@@ -136,8 +147,8 @@ class PictureFile:
         """
         if self.count != 1:
             raise InputError(
-                f"{self._who}: contains {self.count} pictures: must contain one; save the wanted picture in "
-                "a file of its own"
+                f"{self._who}: contains {self.count} pictures{self._pictures.remark}: must contain one; save "
+                "the wanted picture in a file of its own"
             )
         return self.picture(0, channel)
 
@@ -149,39 +160,26 @@ class PictureFile:
         InputError
             If the picture is damaged, or of an unsupported kind.
         """
-        with self._reported(), self._opened() as image:
-            page = self._pages[0 if self._contiguous is not None else index]
-            if page.index:
-                image.seek(page.index)
-            mode, bits = image.mode, page.bits
-            if image.format == "PNG":
-                png_depth_at = 24
-                bits = self._data[png_depth_at]
-            states_alpha = mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info
-            if self._contiguous is not None:
-                if not len(self._contiguous):
-                    raise InputError(
-                        f"{self._who}: states that it contains {self.count} pictures, but only the first can "
-                        "be found; save the file again"
-                    )
-                values, is_opaque = self._contiguous[index], True
-            else:
-                is_opaque = not states_alpha or _is_opaque(image)
-                if mode in GREY_MODES:
-                    values = np.asarray(image)
-                elif channel is None:
-                    values = np.asarray(image.convert("L"))
-                else:
-                    values = np.asarray(image.convert("RGB"))[..., channel]
-            if page.sample == _UNSIGNED and values.dtype == np.int32:
-                values = values.view(np.uint32)
+        with self._reported():
+            stored = self._pictures.stored(index)
+            samples, bits = stored.samples, stored.bits
+            kind: Kind = "grey" if samples.ndim == 2 and stored.palette is None else "colours"
+            states_alpha, is_opaque = stored.states_alpha, not stored.states_alpha or stored.is_opaque
+            if stored.palette is not None:
+                kind, samples = "palette", stored.palette[samples]
+            if samples.ndim == 3:
+                samples = _luma(samples) if channel is None else samples[..., channel]
+            dtype = samples.dtype
+            stated_scale = {"b": 1, "f": 0}.get(dtype.kind)
+            full_scale = 2 ** min(bits, 8 * dtype.itemsize) - 1 if stated_scale is None else stated_scale
             return Picture(
                 path=self.path,
-                format=image.format or "",
-                mode=mode,
+                format=stored.format,
+                kind=kind,
                 bits=bits,
-                values=upright(values, page.orientation),
-                white_is_zero=page.white_is_zero,
+                values=upright(samples, stored.orientation),
+                full_scale=stored.full_scale or full_scale,
+                white_is_zero=stored.white_is_zero,
                 is_opaque=is_opaque,
                 states_alpha=states_alpha,
             )
@@ -189,13 +187,6 @@ class PictureFile:
     @property
     def _who(self) -> str:
         return f"{self._named.removeprefix('the ')} {self.path}" if self._named else str(self.path)
-
-    @contextmanager
-    def _opened(self) -> Iterator[Any]:
-        from PIL import Image
-
-        with Image.open(io.BytesIO(self._data), formats=self._formats) as image:
-            yield image
 
     @contextmanager
     def _reported(self) -> Iterator[None]:
@@ -207,6 +198,8 @@ class PictureFile:
             warnings.simplefilter("ignore")
             try:
                 yield
+            except _UnsupportedError as error:
+                raise InputError(f"{self._who}: {error}") from None
             except InputError:
                 raise
             except UnidentifiedImageError:
@@ -219,53 +212,213 @@ class PictureFile:
             except Exception as error:  # the readers raise many kinds of errors for damaged files
                 message = str(error) or type(error).__name__
                 kinds = " or ".join(self._formats) if self._formats else "picture"
-                raise InputError(f"{start}damaged {kinds}: {message}") from None
+                raise InputError(f"{start}damaged {kinds}: {message:.200}") from None
 
-    def _read_structure(self) -> None:
-        """Read the directories of a TIFF, and neutralize its tags for orientation and white."""
+
+class _UnsupportedError(Exception):
+    """A file of a kind that is not read; the message says what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Stored:
+    """A picture as its file contains it: samples (rows, columns) or (rows, columns, channels)."""
+
+    format: str
+    samples: NDArray[Any]
+    bits: int
+    palette: NDArray[Any] | None = None
+    orientation: int = 1
+    white_is_zero: bool = False
+    states_alpha: bool = False
+    is_opaque: bool = True
+    full_scale: int = 0
+
+
+class _PillowPictures:
+    """Pictures of a file that Pillow reads."""
+
+    description = remark = ""
+
+    def __init__(self, data: bytes, formats: tuple[str, ...] | None) -> None:
+        self._data, self._formats = data, formats
+        with self._opened() as image:
+            self.count = int(getattr(image, "n_frames", 1))
+            self._orientation = int(image.getexif().get(ORIENTATION, 1))
+        _check_pictures(self.count)
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        from PIL import Image
+
+        formats = tuple(one for one in self._formats if one != "TIFF") if self._formats else None
+        with Image.open(io.BytesIO(self._data), formats=formats) as image:
+            _check_size(*image.size[::-1])
+            yield image
+
+    def stored(self, index: int) -> _Stored:
+        """Return a picture by its index."""
+        with self._opened() as image:
+            if index:
+                image.seek(index)
+            png_depth_at = 24
+            bits = self._data[png_depth_at] if image.format == "PNG" else 8
+            states_alpha = image.mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info
+            palette = None
+            if image.mode in ("1", "L", "I;16", "I;16L", "I;16B", "I", "F"):
+                samples = np.asarray(image)
+            elif image.mode == "P":
+                palette, samples = np.zeros((256, 3), np.uint8), np.asarray(image)
+                colours = np.asarray(image.getpalette("RGB"), np.uint8).reshape(-1, 3)
+                palette[: len(colours)] = colours
+            else:
+                samples = np.asarray(image.convert("L" if image.mode in ("LA", "La") else "RGB"))
+            return _Stored(
+                image.format or "",
+                samples,
+                bits,
+                palette,
+                self._orientation,
+                states_alpha=states_alpha,
+                is_opaque=not states_alpha or _is_opaque(image),
+                # Pillow converts counts of fewer bits to 8 bits.
+                full_scale=0 if samples.dtype.kind in "bf" else int(np.iinfo(samples.dtype).max),
+            )
+
+
+class _TiffPictures:
+    """Pictures of a TIFF, which tifffile reads."""
+
+    def __init__(self, data: bytes) -> None:
         from tifffile import TiffFile
 
-        if self._formats is not None and "TIFF" not in self._formats:
-            raise InputError(f"{self._who}: is a TIFF; allowed: {', '.join(self._formats)}")
-        with TiffFile(io.BytesIO(self._data)) as file:
-            # Most pictures in a file.
-            most_pictures = 10_000
-            if len(file.pages) > most_pictures:
-                raise InputError(
-                    f"{self._who}: has more than {most_pictures} directories, the largest number allowed"
+        self._file = TiffFile(io.BytesIO(data))
+        self._contiguous: NDArray[Any] | None = None
+        self.remark = ""
+        file = self._file
+        _check_pictures(len(file.pages))
+        directories: list[Any] = [file.pages[n].aspage() for n in range(len(file.pages))]
+        whole = [own for own in directories if not own.is_reduced] or directories[:1]
+        first = whole[0]
+        self.description = str(getattr(first, "description", "") or "")
+        for page in whole:
+            _check_page(page, len(data))
+        # Each picture is a directory, or one plane of a directory.
+        self._places = [(page, plane) for page in whole for plane in _planes(page)]
+        self.count = len(self._places)
+        if self.count > len(whole):
+            self.remark = " (or the planes of colours, which tifffile stores alike)"
+        stated = max(_stated_pictures(file, first), _imagej_pictures(self.description))
+        if stated > self.count:
+            if len(directories) > 1:
+                raise _UnsupportedError(
+                    f"states that it contains {stated} pictures, but contains {self.count}; save the file "
+                    "again"
                 )
-            directories = [file.pages[n].aspage() for n in range(len(file.pages))]
-            whole = [n for n, own in enumerate(directories) if not own.is_reduced] or [0]
-            first = directories[whole[0]]
-            self.description = str(getattr(first, "description", "") or "")
-            changed = bytearray(self._data)
-            pages = []
-            for n in whole:
-                page, edits = _page(n, directories[n], file.byteorder, self._who)
-                pages.append(page)
-                for place, content in edits:
-                    changed[place : place + len(content)] = content
-            self._pages, self.count = pages, len(pages)
-            stated = max(_stated_pictures(file, first), _imagej_pictures(self.description))
-            if stated > self.count:
-                if len(directories) > 1:
-                    raise InputError(
-                        f"{self._who}: states that it contains {stated} pictures, but contains {self.count}; "
-                        "save the file again"
-                    )
-                self.count, self._contiguous = stated, _contiguous(file, first, stated)
-            self._data = bytes(changed) if changed != self._data else self._data
+            _check_pictures(stated)
+            self.count, self._contiguous = stated, _contiguous(file, first, stated)
+
+    def stored(self, index: int) -> _Stored:
+        """Return a picture by its index."""
+        page, plane = self._places[0 if self._contiguous is not None else index]
+        bits = int(page.bitspersample)
+        orientation = int(page.tags[ORIENTATION].value) if ORIENTATION in page.tags else 1
+        white_is_zero = int(page.tags[PHOTOMETRIC].value) == 0
+        if self._contiguous is not None:
+            if not len(self._contiguous):
+                raise _UnsupportedError(
+                    f"states that it contains {self.count} pictures, but only the first can be found; save "
+                    "the file again"
+                )
+            samples = self._contiguous[index]
+            return _Stored("TIFF", samples, bits, None, orientation, white_is_zero)
+        samples = page.asarray()
+        channels = int(page.samplesperpixel)
+        shape = (int(page.imagelength), int(page.imagewidth))
+        if plane is not None:
+            return _Stored("TIFF", samples.reshape(channels, *shape)[plane], bits, None, orientation)
+        if channels == 1:
+            samples, palette, scale = samples.reshape(shape), None, 0
+            if int(page.photometric) == _PALETTE and page.colormap is not None:
+                palette, scale = (np.asarray(page.colormap) >> 8).astype(np.uint8).T, 255
+            return _Stored("TIFF", samples, bits, palette, orientation, white_is_zero, full_scale=scale)
+        if int(page.planarconfig) == _SEPARATE:
+            samples = np.moveaxis(samples.reshape(channels, *shape), 0, -1)
+        samples = samples.reshape(*shape, channels)
+        colours = 1 if int(page.photometric) in (0, 1) else 3
+        states_alpha = channels > colours
+        is_opaque = not states_alpha or bool(np.all(samples[..., colours:] == 2**bits - 1))
+        samples = samples[..., 0] if colours == 1 else samples[..., :3]
+        return _Stored("TIFF", samples, bits, None, orientation, white_is_zero, states_alpha, is_opaque)
 
 
-@dataclass(frozen=True)
-class _Page:
-    """Properties of a picture from its directory."""
+_Pictures = _PillowPictures | _TiffPictures
 
-    index: int
-    orientation: int
-    white_is_zero: bool
-    bits: int
-    sample: int
+_SEPARATE, _PALETTE, _YCBCR, _JPEG = 2, 3, 6, (6, 7)
+"""Values of TIFF tags: planes one after the other, palette, YCbCr, and compression by JPEG."""
+
+
+def _check_size(rows: int, columns: int) -> None:
+    if rows * columns > MOST_PIXELS:
+        raise _UnsupportedError(
+            f"states {columns} x {rows} pixels; at most {MOST_PIXELS} pixels are read; crop or bin "
+            "the picture"
+        )
+
+
+def _check_pictures(count: int) -> None:
+    if count > MOST_PICTURES:
+        raise _UnsupportedError(f"has {count} pictures; at most {MOST_PICTURES} are read")
+
+
+def _check_page(page: Any, file_bytes: int) -> None:
+    """Check what a directory of a TIFF states before its samples are decoded."""
+    if PHOTOMETRIC not in page.tags:
+        raise _UnsupportedError(
+            "a TIFF without its photometric tag, which states whether black or white is zero"
+        )
+    photometric = int(page.tags[PHOTOMETRIC].value)
+    supported = (0, 1, 2, _PALETTE, _YCBCR)
+    if photometric not in supported or (photometric == _YCBCR and int(page.compression) not in _JPEG):
+        raise _UnsupportedError(
+            f"a TIFF of photometric interpretation {photometric}: must be grey, RGB or with a palette"
+        )
+    most_channels = 4
+    channels, depth = int(page.samplesperpixel), int(getattr(page, "imagedepth", 1) or 1)
+    if not 1 <= channels <= most_channels or page.dtype is None:
+        raise _UnsupportedError(f"a TIFF with {channels} samples of {page.bitspersample} bits for each pixel")
+    _check_size(int(page.imagelength) * depth * channels, int(page.imagewidth))
+    if min(page.imagelength, page.imagewidth) < 1:
+        raise _UnsupportedError("has no pixels")
+    ends = [place + count for place, count in zip(page.dataoffsets, page.databytecounts, strict=True)]
+    if not ends or max(ends) > file_bytes or min(page.databytecounts) < 1:
+        raise _UnsupportedError("is cut short: it states samples beyond its end")
+    uncompressed = 1
+    row_bytes = -(-int(page.imagewidth) * channels * int(page.bitspersample) // 8)
+    stated, found = int(page.imagelength) * depth * row_bytes, sum(page.databytecounts)
+    if int(page.compression) == uncompressed and found < stated:
+        raise _UnsupportedError(f"is damaged: contains {found} bytes of samples instead of {stated}")
+
+
+def _planes(page: Any) -> list[int] | list[None]:
+    """Return the planes of a directory that count as pictures; [None] if it is one picture.
+
+    tifffile stores a stack of three or four pictures as one picture of separate planes of RGB, unless the
+    program that calls it states otherwise. Colours in separate planes of other programs are one picture.
+    """
+    if int(page.samplesperpixel) == 1 or int(page.planarconfig) != _SEPARATE:
+        return [None]
+    software = str(page.tags[SOFTWARE].value) if SOFTWARE in page.tags else ""
+    is_stack = software.startswith("tifffile") or '"shape": [' in (page.description or "")
+    return list(range(int(page.samplesperpixel))) if is_stack else [None]
+
+
+def _luma(samples: NDArray[Any]) -> NDArray[Any]:
+    """Return the luma of red, green and blue, rounded as Pillow does for 8 bits."""
+    weights = np.array([19595, 38470, 7471], np.int64)
+    if samples.dtype.kind == "f":
+        return np.asarray(samples @ (weights / 65536.0))
+    rounded = (samples.astype(np.int64) @ weights + 0x8000) >> 16
+    return np.asarray(rounded.astype(samples.dtype))
 
 
 def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
@@ -288,41 +441,6 @@ def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
         8: lambda v: v[:, ::-1].T,
     }
     return np.ascontiguousarray(turned[orientation](values) if orientation in turned else values)
-
-
-def _page(index: int, page: Any, order: str, who: str) -> tuple[_Page, list[tuple[int, bytes]]]:
-    """Return a directory's properties, and edits of the file so that Pillow returns the stored pixels."""
-    if PHOTOMETRIC not in page.tags:
-        raise InputError(
-            f"{who}: a TIFF without its photometric tag, which states whether black or white is zero"
-        )
-    photometric = int(page.tags[PHOTOMETRIC].value)
-    # Supported photometric interpretations.
-    photometrics = {0: "grey", 1: "grey", 2: "RGB", 3: "palette", 6: "YCbCr"}
-    if photometric not in photometrics:
-        raise InputError(
-            f"{who}: a TIFF of photometric interpretation {photometric}: must be grey, RGB or with a palette"
-        )
-    orientation = int(page.tags[ORIENTATION].value) if ORIENTATION in page.tags else 1
-    edits = []
-    format_of_tag = {1: "B", 3: "H", 4: "I", 16: "Q"}
-    for code, value, wanted in ((ORIENTATION, orientation, 1), (PHOTOMETRIC, photometric, 1)):
-        if code not in page.tags or (code == PHOTOMETRIC and photometric != 0) or value == wanted:
-            continue
-        tag = page.tags[code]
-        kind = format_of_tag.get(int(tag.dtype))
-        if kind is None or tag.count != 1:
-            raise InputError(f"{who}: damaged: tag {code} is not a whole number")
-        edits.append((int(tag.valueoffset), struct.pack(f"{order}{kind}", wanted)))
-    sample = page.sampleformat
-    whole = _Page(
-        index,
-        orientation,
-        photometric == 0,
-        int(page.bitspersample),
-        int(_UNSIGNED if sample is None else sample),
-    )
-    return whole, edits
 
 
 def _stated_pictures(file: Any, page: Any) -> int:

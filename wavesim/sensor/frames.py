@@ -23,7 +23,7 @@ from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
-from wavesim.fields.picture_files import COUNT_MODES, FRAME_FORMATS, PictureFile
+from wavesim.fields.picture_files import FRAME_FORMATS, PictureFile
 from wavesim.scene.settings import SettingError
 from wavesim.scene.system_state import LARGEST_NONLINEARITY
 from wavesim.sensor.colour_filters import ColourFilters
@@ -310,13 +310,8 @@ def _read_picture(path: Path) -> tuple[Counts, str]:
     picture = file.single_picture()
     # Least number of bits of a stored count; readers rescale counts of fewer bits.
     least_bits = 8
-    if picture.mode not in COUNT_MODES or picture.bits < least_bits or picture.states_alpha:
-        bits = f" of {picture.bits} bits" if picture.bits < least_bits else ""
-        alpha = ", with transparent pixels" if picture.states_alpha else ""
-        raise InputError(
-            f"{path}: a {picture.format} of mode {picture.mode!r}{bits}{alpha}: must be grey, with whole "
-            "numbers of 8, 12 or 16 bits"
-        )
+    if not (picture.is_grey and picture.has_counts and picture.bits >= least_bits):
+        raise InputError(f"{path}: {picture}: must be grey, with whole numbers of 8, 12 or 16 bits")
     if picture.white_is_zero:
         raise InputError(f"{path}: a TIFF in which white is zero: must be one in which black is zero")
     return picture.values.astype(np.uint16), file.description

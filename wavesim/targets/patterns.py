@@ -37,7 +37,7 @@ from wavesim.fields.coverage import (
     validate_two_dimensional,
 )
 from wavesim.fields.field import Grid, Orientation
-from wavesim.fields.picture_files import COUNT_MODES, PictureFile
+from wavesim.fields.picture_files import PictureFile
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.runtime.threads import row_blocks
 
@@ -344,9 +344,9 @@ def picture_pixel(
 def read_grey(path: str | os.PathLike[str], channel: int | None = None) -> Array:
     """Return grey values of a picture as fractions of full scale (0 is black), shape (rows, columns).
 
-    A single channel of 8 or 16 bits is used unchanged. Colours, palettes and black-and-white pictures are
-    converted to luma (ITU-R BT.601, 8 bits). The picture is rotated by the orientation in its file, and
-    inverted if the file states that white is zero.
+    A single channel of 8 or 16 bits is used unchanged. Colours and palettes are converted to luma (ITU-R
+    BT.601). The picture is rotated by the orientation in its file, and inverted if the file states that white
+    is zero.
 
     Parameters
     ----------
@@ -362,20 +362,10 @@ def read_grey(path: str | os.PathLike[str], channel: int | None = None) -> Array
     """
     file = Path(path)
     picture = PictureFile(file, "the picture").single_picture(channel)
-    # Modes of Pillow for pictures that are converted to luma.
-    luma_modes = ("1", "LA", "P", "RGB", "RGBA")
-    if picture.mode not in (*COUNT_MODES, *luma_modes) or not picture.is_opaque:
-        raise InputError(
-            f"picture {file}: has mode {picture.mode}; must be grey (8 or 16 bits) or opaque colours (8 bits)"
-        )
-    values = picture.values
-    if values.dtype == np.bool_:
-        full_scale = 1
-    elif picture.format == "TIFF" and picture.mode.startswith("I;16"):
-        full_scale = 2**picture.bits - 1
-    else:
-        full_scale = int(np.iinfo(values.dtype).max)
-    grey = values / full_scale
+    is_black_and_white = picture.values.dtype == np.bool_
+    if not (picture.has_counts or is_black_and_white) or not picture.is_opaque:
+        raise InputError(f"picture {file}: {picture}; must be grey or opaque colours, of at most 16 bits")
+    grey = picture.values / picture.full_scale
     return np.asarray(1.0 - grey if picture.white_is_zero else grey, float)
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from studio.model.files import MAX_RECENT, listing, recent, remember
+from lensdesign import InputError
+from studio.model.files import MAX_RECENT, listing, recent, remember, typed_path
 
 
 def test_a_folder_lists_folders_and_files_of_a_suffix(tmp_path: Path) -> None:
@@ -45,3 +46,18 @@ def test_a_damaged_list_of_recent_files_is_ignored(tmp_path: Path, monkeypatch: 
         assert recent("designs") == []
     remember("designs", tmp_path)
     assert recent("designs") == [str(tmp_path)]
+
+
+@pytest.mark.parametrize(
+    "name", ["~nosuchuser/lens.toml", "a" * 256, f"folder/{'b' * 300}/lens.toml", "a\0b"]
+)
+def test_what_cannot_be_a_path_has_a_message(name: str) -> None:
+    with pytest.raises(InputError, match="give another path"):
+        typed_path(name)
+    assert "give another path" in listing(name)["error"]
+
+
+def test_typed_paths_may_exist_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert typed_path(" ~/lens.toml ") == tmp_path / "lens.toml"
+    assert typed_path(str(tmp_path)) == tmp_path

@@ -25,6 +25,13 @@ def test_a_folder_says_what_it_holds(tmp_path: Path) -> None:
     assert seen.page == ""  # nothing to zoom into
 
 
+def test_pictures_with_too_many_pixels_are_not_decoded(tmp_path: Path) -> None:
+    (tmp_path / "image.json").write_text("{}")
+    Image.new("1", (8192, 4097)).save(tmp_path / "frames.png")
+    Image.new("1", (16, 16)).save(tmp_path / "object.png")
+    assert [name for name, *_ in read_folder(tmp_path, lambda _: None).pictures] == ["object.png"]
+
+
 @pytest.mark.parametrize("is_chart", [False, True])
 def test_pictures_for_dark_pages_keep_their_images(is_chart: bool) -> None:
     values = np.full((200, 200, 3), 255, np.uint8)

@@ -77,6 +77,101 @@ def test_a_shaped_file_of_three_pictures_is_a_stack(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_map(tmp_path / "a.tif"), stack.mean(axis=0))
 
 
+@pytest.mark.filterwarnings("ignore:<tifffile")
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("metadata", [{}, None])
+def test_a_stack_is_the_same_stack_for_any_number_of_pictures(
+    tmp_path: Path, count: int, dtype: type, metadata: dict[str, str] | None
+) -> None:
+    """tifffile stores three or four pictures as planes of colours, and other numbers as pages."""
+    stack = np.stack([random_picture(np.uint8) + np.uint8(n) for n in range(count)]).astype(dtype)
+    tifffile.imwrite(tmp_path / "a.tif", stack, metadata=metadata)
+    assert PictureFile(tmp_path / "a.tif").count == count
+    np.testing.assert_allclose(read_map(tmp_path / "a.tif"), stack.mean(axis=0), rtol=1e-6)
+    for index in range(count):
+        np.testing.assert_array_equal(PictureFile(tmp_path / "a.tif").picture(index).values, stack[index])
+    if count > 1:
+        for read in (
+            read_grey,
+            lambda path: read_map(path, several=False),
+            lambda path: read_frame(path, **STATED),
+        ):
+            with pytest.raises(InputError, match=f"contains {count} pictures"):
+                read(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("planarconfig", ["contig", "separate"])
+@pytest.mark.parametrize("alpha", [False, True])
+def test_colours_of_other_programs_are_one_picture(
+    tmp_path: Path, dtype: type, planarconfig: str, alpha: bool
+) -> None:
+    full_scale = np.iinfo(dtype).max
+    colours = np.stack([random_picture(dtype), random_picture(dtype)[::-1], random_picture(dtype)[:, ::-1]])
+    stored = np.concatenate([colours, np.full((1, 24, 37), full_scale, dtype)]) if alpha else colours
+    tifffile.imwrite(
+        tmp_path / "a.tif",
+        stored if planarconfig == "separate" else np.moveaxis(stored, 0, -1),
+        photometric="rgb",
+        planarconfig=planarconfig,
+        extrasamples=["unassalpha"] if alpha else None,
+        metadata=None,
+        software="camera 1.0",
+    )
+    luma = np.tensordot([0.299, 0.587, 0.114], colours.astype(float), 1) / full_scale
+    np.testing.assert_allclose(read_grey(tmp_path / "a.tif"), luma, atol=1.0 / full_scale)
+    for channel in range(3):
+        np.testing.assert_array_equal(read_grey(tmp_path / "a.tif", channel), colours[channel] / full_scale)
+    with pytest.raises(InputError, match="must be one grey picture"):
+        read_map(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("compression", ["zlib", "lzw", "packbits", "lzma", "zstd"])
+@pytest.mark.parametrize("byteorder", ["<", ">"])
+@pytest.mark.parametrize("predictor", [False, True])
+def test_compressed_tiffs_in_both_byte_orders(
+    tmp_path: Path, compression: str, byteorder: str, predictor: bool
+) -> None:
+    stored = random_picture()
+    predictor = predictor and compression != "packbits"
+    layout = {"byteorder": byteorder, "predictor": predictor, "rowsperstrip": 7, "metadata": None}
+    tifffile.imwrite(tmp_path / "a.tif", stored, compression=compression, **layout)
+    np.testing.assert_array_equal(read_map(tmp_path / "a.tif"), stored)
+
+
+def test_twelve_bits_and_palettes_and_jpegs_in_tiffs(tmp_path: Path) -> None:
+    stored = random_picture(np.uint16) >> 4
+    tifffile.imwrite(tmp_path / "a.tif", stored, bitspersample=12, metadata=None)
+    np.testing.assert_allclose(read_grey(tmp_path / "a.tif"), stored / 4095.0)
+    image = Image.fromarray(random_picture(np.uint8))
+    image.convert("P").save(tmp_path / "p.tif")
+    np.testing.assert_allclose(read_grey(tmp_path / "p.tif"), np.asarray(image) / 255.0, atol=0.5 / 255)
+    image.save(tmp_path / "j.tif", compression="jpeg")
+    with Image.open(tmp_path / "j.tif") as seen:
+        np.testing.assert_allclose(read_grey(tmp_path / "j.tif"), np.asarray(seen) / 255.0, atol=2.5 / 255)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif"])
+def test_pictures_with_too_many_pixels_are_refused_before_they_are_decoded(tmp_path: Path, name: str) -> None:
+    Image.new("1", (20_000, 8_400)).save(
+        tmp_path / name, **({"compression": "group4"} if name == "a.tif" else {})
+    )
+    assert (tmp_path / name).stat().st_size < 200_000
+    with pytest.raises(InputError, match="states 20000 x 8400 pixels; at most 134217728 pixels are read"):
+        read_grey(tmp_path / name)
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_a_tiff_that_is_cut_short_is_refused(tmp_path: Path, compression: str | None) -> None:
+    tifffile.imwrite(tmp_path / "a.tif", random_picture(), compression=compression, metadata=None)
+    content = (tmp_path / "a.tif").read_bytes()
+    for kept in (len(content) - 1, len(content) - 400, 300, 9):
+        (tmp_path / "a.tif").write_bytes(content[:kept])
+        with pytest.raises(InputError, match=r"a\.tif: "):
+            read_map(tmp_path / "a.tif")
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("photometric", ["minisblack", "miniswhite"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

@@ -92,11 +92,7 @@ def _mean_picture(path: Path, several: bool) -> Array:
 def _numbers(picture: Picture) -> Array:
     """Return the stored numbers of a grey picture."""
     if not picture.is_grey:
-        alpha = ", with transparent pixels" if picture.states_alpha else ""
-        raise InputError(
-            f"map {picture.path}: a {picture.format} of kind {picture.mode!r}{alpha}: must be one grey "
-            "picture of finite numbers"
-        )
+        raise InputError(f"map {picture.path}: {picture}: must be one grey picture of finite numbers")
     if picture.white_is_zero:
         raise InputError(
             f"map {picture.path}: a TIFF in which white is zero: must be one in which black is zero"
