@@ -167,7 +167,7 @@ def test_what_cannot_be_shown_is_refused(command: Command, frames: Path, result:
         ((frames / "none.npz",), "cannot read the field .*none.npz: No such file"),
         ((frames / "none.tif",), "cannot read .*none.tif: No such file"),
         ((text,), "must be a folder, a field"),
-        ((picture,), "amplitude.tif: a TIFF of mode 'F'"),
+        ((picture,), "amplitude.tif: a TIFF, grey, floating-point numbers"),
         ((empty,), "contains none of reconstruction.npz, object.npz, frame_"),
         ((frames / "cut.npz",), "cannot read the field .*cut.npz"),
         ((frames / "cut.tif",), "cut.tif"),

@@ -168,15 +168,15 @@ def foreign(path: Path, kind: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("colour", "mode 'RGB': must be grey"),
-        ("float", "mode 'F': must be grey"),
-        ("signed", "mode 'I': must be grey"),
+        ("colour", "a TIFF, colours, samples of 8 bits: must be grey"),
+        ("float", "floating-point numbers: must be grey"),
+        ("signed", "numbers with a sign: must be grey"),
         ("stack", "contains 2 pictures"),
         ("negative", "white is zero"),
         ("jpeg", "not a TIFF or PNG picture"),
         ("empty", "not a TIFF or PNG picture"),
         ("text", "not a TIFF or PNG picture"),
-        ("colour png", "a PNG of mode 'RGB': must be grey"),
+        ("colour png", "a PNG, colours, samples of 8 bits: must be grey"),
     ],
 )
 def test_foreign_files_are_refused_by_what_they_are(tmp_path: Path, kind: str, words: str) -> None:

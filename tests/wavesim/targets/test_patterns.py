@@ -320,10 +320,10 @@ def test_pictures_that_are_none_are_refused(tmp_path: Path) -> None:
         picture_target(tmp_path / "bad.png", grid, 2.0)
     Image.fromarray(np.full((20, 20), 9, np.uint16)).save(tmp_path / "cut.tif")
     (tmp_path / "cut.tif").write_bytes((tmp_path / "cut.tif").read_bytes()[:300])
-    with pytest.raises(InputError, match="cannot read the picture"):
+    with pytest.raises(InputError, match="picture .*cut.tif: is cut short"):
         picture_target(tmp_path / "cut.tif", grid, 2.0)
     Image.new("RGBA", (20, 20), (255, 255, 255, 9)).save(tmp_path / "clear.png")
-    with pytest.raises(InputError, match="mode RGBA"):
+    with pytest.raises(InputError, match="a PNG, colours, samples of 8 bits, with transparency; must be"):
         picture_target(tmp_path / "clear.png", grid, 2.0)
     pages = [Image.new("L", (20, 20), shade) for shade in (0, 9)]
     pages[0].save(tmp_path / "two.tif", save_all=True, append_images=pages[1:])
