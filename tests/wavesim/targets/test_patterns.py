@@ -320,7 +320,7 @@ def test_pictures_that_are_none_are_refused(tmp_path: Path) -> None:
         picture_target(tmp_path / "bad.png", grid, 2.0)
     Image.fromarray(np.full((20, 20), 9, np.uint16)).save(tmp_path / "cut.tif")
     (tmp_path / "cut.tif").write_bytes((tmp_path / "cut.tif").read_bytes()[:300])
-    with pytest.raises(InputError, match="picture .*cut.tif: is cut short"):
+    with pytest.raises(InputError, match=r"picture .*cut.tif: is cut short"):
         picture_target(tmp_path / "cut.tif", grid, 2.0)
     Image.new("RGBA", (20, 20), (255, 255, 255, 9)).save(tmp_path / "clear.png")
     with pytest.raises(InputError, match="a PNG, colours, samples of 8 bits, with transparency; must be"):
