@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -256,7 +257,7 @@ def _extract_pose(rows: list[SurfaceRow], draft: Draft) -> tuple[list[SurfaceRow
     """Return the rows without coordinate breaks, the pose, the working distance and the first plane.
 
     The breaks represent a pose if there is one before the first surface and its inverse, at the same point,
-    behind the last one.
+    behind the last one; or if they place all surfaces as such a pair would.
     """
     if all(row.axes is None for row in rows):
         return rows, Pose(), rows[0].thickness_mm, rows[-2].thickness_mm
@@ -283,9 +284,6 @@ def _extract_pose(rows: list[SurfaceRow], draft: Draft) -> tuple[list[SurfaceRow
             working_distance = float(stored)
         first_plane = back.thickness_mm + pivot + despace - exit_z
         return [rows[0], *inner, rows[-1]], pose, working_distance, first_plane
-    for row in rows:
-        if row.axes is not None and not row.axes.is_identity:
-            draft.add_loss(f"{row.name}: coordinate break that is not a pose of the whole lens")
     kept = [rows[0]]
     for row in rows[1:]:
         if row.axes is None:
@@ -294,7 +292,49 @@ def _extract_pose(rows: list[SurfaceRow], draft: Draft) -> tuple[list[SurfaceRow
             kept[-1] = replace(kept[-1], thickness_mm=kept[-1].thickness_mm + row.thickness_mm)
     if len(kept) < 3:
         raise InputError(f"{draft.source}: no surface found between the object and the image")
-    return kept, Pose(), kept[0].thickness_mm, kept[-2].thickness_mm
+    equal = _pose_of_places(rows)
+    if equal is None:
+        for row in rows:
+            if row.axes is not None and not row.axes.is_identity:
+                draft.add_loss(f"{row.name}: coordinate break that is not a pose of the whole lens")
+    return kept, equal or Pose(), kept[0].thickness_mm, kept[-2].thickness_mm
+
+
+def _pose_of_places(rows: Sequence[SurfaceRow]) -> Pose | None:
+    """Return the pose that places all surfaces as the coordinate breaks do; None if there is none.
+
+    The surfaces of the lens then have one axis, and the image has that of the object. The distances of the
+    file must also be those along these axes, because the finished lens is compared with them.
+    """
+    frames, path_mm, paths_mm = [np.eye(4)], 0.0, [0.0]
+    frame = np.eye(4)
+    for before, row in pairwise(rows):
+        step_mm = before.thickness_mm if before.thickness_mm < math.inf else 0.0
+        path_mm += step_mm
+        frame = frame @ _along_axis(step_mm)
+        if row.axes is None:
+            frames.append(frame)
+            paths_mm.append(path_mm)
+        else:
+            frame = frame @ row.axes.matrix()
+    front = frames[1]
+    tilts = math.atan2(front[2, 1], front[1, 1]), math.atan2(front[0, 2], front[0, 0])
+    x_mm, y_mm, _ = front[:3, 3].tolist()
+    pose = Pose(x_mm, y_mm, 0.0, *(round(math.degrees(tilt), 12) for tilt in tilts))
+    placed = _along_axis(paths_mm[1])
+    placed[:2, 3] = x_mm, y_mm
+    placed[:3, :3] = pose.transform()[0][0]
+    expected = [placed @ _along_axis(path - paths_mm[1]) for path in paths_mm[1:-1]]
+    tolerance_mm = TOLERANCE_MM * (1.0 + abs(path_mm))
+    same = np.allclose(frames, [np.eye(4), *expected, _along_axis(path_mm)], rtol=0.0, atol=tolerance_mm)
+    return pose if same else None
+
+
+def _along_axis(distance_mm: float) -> NDArray[np.float64]:
+    """Return the homogeneous matrix of a shift along z."""
+    matrix = np.eye(4)
+    matrix[2, 3] = distance_mm
+    return matrix
 
 
 def _is_pose(axes: CoordinateBreak) -> bool:

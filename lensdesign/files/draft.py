@@ -196,6 +196,15 @@ class Supplement:
         return list(self.wavelengths_um)
 
 
+def _turn(axis: int, angle: float) -> np.ndarray:
+    """Return the right-handed rotation about an axis."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[[i, j], [i, j]] = math.cos(angle)
+    matrix[j, i], matrix[i, j] = math.sin(angle), -math.sin(angle)
+    return matrix
+
+
 @dataclass(frozen=True)
 class CoordinateBreak:
     """A coordinate break: decenter, then tilts about x, the new y and the new z; or in reverse order."""
@@ -215,6 +224,15 @@ class CoordinateBreak:
         decenters, tilts = (", ".join(f"{v:g}" for v in vs) for vs in (self.decenter_mm, self.tilt_deg))
         order = "tilts first" if self.reverse else "decenters first"
         return f"decenters {decenters}; tilts {tilts} degrees; {order}"
+
+    def matrix(self) -> np.ndarray:
+        """Return the homogeneous matrix (4, 4) from the axes behind the break to those before it."""
+        shift, rotation = np.eye(4), np.eye(4)
+        shift[:2, 3] = self.decenter_mm
+        turns = [_turn(axis, math.radians(tilt)) for axis, tilt in enumerate(self.tilt_deg)]
+        for turn in reversed(turns) if self.reverse else turns:
+            rotation[:3, :3] = rotation[:3, :3] @ turn
+        return rotation @ shift if self.reverse else shift @ rotation
 
     def inverse(self) -> CoordinateBreak:
         """Return the inverse of the coordinate break."""

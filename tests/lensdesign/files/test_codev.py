@@ -601,3 +601,23 @@ def test_no_title_is_written_if_there_is_none(tmp_path: Path, paper_lens: Lens, 
     write_seq(lens, path)
     assert "TITLE" not in path.read_text()
     assert read_seq(path).lens == lens
+
+
+def test_a_decenter_that_returns_at_the_last_vertex_is_that_which_returns_at_the_first(
+    tmp_path: Path,
+) -> None:
+    """The same as a decenter of every surface by itself (DAR)."""
+    lens = "S 50 5 NBK7_SCHOTT\n{0}\nSTO\nS -50 {1}\n{0}\n"
+    head = "RDM; DIM M; NAO 0.02; WL 587.6; YOB 0 0.5; SO 0 100\n"
+    dummy, end = "S 0 0; XDE 0.1; YDE -0.3\n", "SI 0 0\n"
+    texts = [
+        head + dummy + lens.format("", -5) + "S 0 68; XDE 0.1; YDE -0.3; REV\n" + end,
+        head + dummy + lens.format("", 0) + "S 0 63; XDE 0.1; YDE -0.3; REV\n" + end,
+        head + dummy + lens.format("", 60) + "S 0 3; XDE -0.1; YDE 0.3\n" + end,
+        head + lens.format("XDE 0.1; YDE -0.3; DAR", 63) + end,
+    ]
+    found = [read_seq(saved(tmp_path, text), SENSOR) for text in texts]
+    for result in found:
+        assert (result.pose.decenter_x_mm, result.pose.decenter_y_mm) == (0.1, -0.3)
+        assert result.dropped == ()
+        assert (result.lens, result.pose) == (found[0].lens, found[0].pose)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -239,3 +240,80 @@ def test_a_stop_without_an_aperture_is_as_wide_as_the_marginal_ray(tmp_path: Pat
     cone = Draft("lens", wavelengths_um=[0.5], rows=rows, aperture=("object_na", 0.05))
     semi = assemble(cone, SUPPLEMENT, False).lens.surfaces[0].semi_diameter_mm
     assert semi == pytest.approx(100.0 * 0.05 / np.sqrt(1 - 0.05**2), rel=1e-12)
+
+
+SHIFT = CoordinateBreak((0.3, -0.2))
+
+
+def placed(breaks: list[tuple[int, CoordinateBreak, float]]) -> list[SurfaceRow]:
+    """Return the rows of the lens with coordinate breaks and their distances in front of some of them."""
+    rows = lens_rows()
+    for place, axes, distance_mm in sorted(breaks, key=lambda entry: -entry[0]):
+        before = rows[place - 1]
+        rows[place - 1] = replace(before, thickness_mm=before.thickness_mm - distance_mm)
+        rows.insert(place, row(distance_mm, axes=axes))
+    return rows
+
+
+@pytest.mark.parametrize(
+    "breaks",
+    [
+        [(1, SHIFT, 0.0), (3, SHIFT.inverse(), 0.0)],  # returns at the image
+        [(1, SHIFT, 0.0), (3, SHIFT.inverse(), 80.0)],
+        [(1, SHIFT, 20.0), (3, CoordinateBreak((-0.3, 0.0)), 10.0), (3, CoordinateBreak((0.0, 0.2)), 30.0)],
+        [
+            (1, CoordinateBreak((0.3, 0.0)), 5.0),
+            (1, CoordinateBreak((0.0, -0.2)), 1.0),
+            (3, SHIFT.inverse(), 2.0),
+        ],
+        # each surface is decentered and returned by itself
+        [(1, SHIFT, 0.0), (2, SHIFT.inverse(), 1.0), (2, SHIFT, 2.0), (3, SHIFT.inverse(), 3.0)],
+    ],
+)
+def test_decenters_that_return_anywhere_are_one_pose(
+    breaks: list[tuple[int, CoordinateBreak, float]],
+) -> None:
+    plain = assembled(lens_rows())
+    result = assembled(placed(breaks))
+    assert (result.pose.decenter_x_mm, result.pose.decenter_y_mm) == (0.3, -0.2)
+    assert result.dropped == ()
+    assert result.lens.surfaces == plain.lens.surfaces
+    assert result.lens.object == plain.lens.object
+    assert result.lens.sensor.plane_distances_mm == pytest.approx(plain.lens.sensor.plane_distances_mm)
+
+
+def test_a_tilt_that_a_second_break_completes_is_a_pose() -> None:
+    """A decenter and a tilt of two breaks, returned at the front vertex, place the lens as one break does."""
+    tilt = CoordinateBreak(tilt_deg=(1.5, 0.0, 0.0))
+    rows = lens_rows()
+    length_mm = rows[1].thickness_mm
+    broken = [
+        rows[0],
+        row(0.0, axes=SHIFT),
+        row(0.0, axes=tilt),
+        rows[1],
+        replace(rows[2], thickness_mm=-length_mm),
+        row(0.0, axes=tilt.inverse()),
+        row(length_mm + rows[2].thickness_mm, axes=SHIFT.inverse()),
+        rows[-1],
+    ]
+    result = assembled(broken)
+    assert result.pose == Pose(0.3, -0.2, 0.0, 1.5)
+    assert result.lens == assembled(lens_rows()).lens
+
+
+@pytest.mark.parametrize(
+    "breaks",
+    [
+        [(1, SHIFT, 0.0)],
+        [(1, SHIFT, 0.0), (3, CoordinateBreak((-0.3, 0.1)), 0.0)],
+        [(2, SHIFT, 0.0), (3, SHIFT.inverse(), 0.0)],
+        [
+            (1, CoordinateBreak(tilt_deg=(1.0, 0.0, 0.0)), 0.0),
+            (3, CoordinateBreak(tilt_deg=(-1.0, 0.0, 0.0)), 0.0),
+        ],
+    ],
+)
+def test_places_of_no_pose_are_a_loss(breaks: list[tuple[int, CoordinateBreak, float]]) -> None:
+    with pytest.raises(InputError, match="coordinate break that is not a pose"):
+        assembled(placed(breaks))
