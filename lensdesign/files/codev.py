@@ -267,8 +267,11 @@ def _private_index(reader: FileReader, surface: FileSurface, glass: PrivateGlass
     return index
 
 
-PRIVATE = "TRANSFERLENS_"
-"""Start of the names of private glasses in files that the toolkit writes."""
+PRIVATE = "TRANSFERLENS"
+"""Start of the names of private glasses in files that the toolkit writes.
+
+They have no underscore, because ray-optics takes what follows one for the name of a catalogue.
+"""
 
 QUOTES = "'\""
 """Quotation marks, which a title in a file must not contain."""

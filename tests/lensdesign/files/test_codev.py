@@ -621,3 +621,16 @@ def test_a_decenter_that_returns_at_the_last_vertex_is_that_which_returns_at_the
         assert (result.pose.decenter_x_mm, result.pose.decenter_y_mm) == (0.1, -0.3)
         assert result.dropped == ()
         assert (result.lens, result.pose) == (found[0].lens, found[0].pose)
+
+
+def test_names_of_private_glasses_name_no_catalogue(tmp_path: Path, paper_lens: Lens) -> None:
+    """Other programs take what follows an underscore for a catalogue; files of older versions have one."""
+    path = tmp_path / "index.seq"
+    lens = paper_lens.with_surface(1, material=1.6)
+    write_seq(lens, path)
+    names = [line.split()[0] for line in path.read_text().splitlines() if line.startswith("'TRANSFERLENS")]
+    assert len(names) == 1
+    assert "_" not in names[0]
+    assert read_seq(path).lens == lens
+    path.write_text(path.read_text().replace("TRANSFERLENS", "TRANSFERLENS_"))
+    assert read_seq(path).lens == lens
