@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.toml_files import validate
-from lensdesign.errors import InputError, MaterialError
+from lensdesign.errors import DesignError, InputError, MaterialError
+from lensdesign.files.contacts import read_contacts, without_crossings
 from lensdesign.files.draft import (
     MAX_SURFACES,
     NO_WAVELENGTH,
@@ -74,6 +75,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         raise InputError(f"{source}: there are only planes in air between the object and the image")
     rows, cover_glass = _without_cover_glass(rows, draft)
     rows, pose, working_distance, first_plane = _extract_pose(rows, draft)
+    rows = read_contacts(rows, draft)
     planes = _first_given(supplement.plane_distances_mm, _planes(draft, first_plane))
     stored = draft.notes.get("glass_catalogs")
     if stored and not supplement.glass_catalogs:
@@ -107,6 +109,9 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         _first_given(row.glass_semi_diameter_mm, row.semi_diameter_mm, row.automatic_mm) for row in rows[1:-1]
     )
     rows, filled = _with_stop(rows, draft, values, catalogs, requested)
+    rows = _without_crossings(rows, draft, values, catalogs)
+    if draft.dropped and not lossy:
+        raise LossyImportError(source, draft.dropped)
     surfaces = _surfaces(rows, draft)
     optional = ("cover_glass", "reflectance")
     missing = [name for name, value in values.items() if value is None and name not in optional]
@@ -118,13 +123,32 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
             f"{source}: the file lacks {', '.join(missing)}{image}; give these values together with the file"
         )
     _remark_automatic(rows, draft)
-    lens = _lens(draft, values, surfaces, catalogs)
+    try:
+        lens = _lens(draft, values, surfaces, catalogs)
+    except DesignError as error:
+        names = ", ".join(row.name.removeprefix("surface ") for row in rows[1:-1])
+        raise DesignError(
+            f"{error} (in words of the design that would be written; its surfaces 1, 2, ... are the surfaces "
+            f"{names} of the file)"
+        ) from error
     first_order = check_first_order(draft, lens, pose, supplement, filled)
     if loss := compare_recorded_indices(draft, first_order, catalogs):
         draft.add_loss(loss)
         if not lossy:
             raise LossyImportError(source, tuple(draft.dropped))
     return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks), first_order, stated)
+
+
+def _without_crossings(
+    rows: list[SurfaceRow], draft: Draft, values: dict[str, Any], catalogs: Sequence[Path]
+) -> list[SurfaceRow]:
+    """Return the rows with clear semi-diameters within which consecutive surfaces do not cross."""
+    distance, field = values["working_distance_mm"], values["field_diameter_mm"]
+    system = _system(draft, rows, catalogs)
+    if system is None or not _is_number(distance, 0.0, math.inf):
+        return rows
+    half_field = 0.5 * field if _is_number(field, 0.0, math.inf) else 0.0
+    return without_crossings(rows, draft, system, distance, half_field, _stop(rows))
 
 
 def _first_given(*values: Any) -> Any:
@@ -218,7 +242,8 @@ def merge_touching_stop(rows: Sequence[SurfaceRow], draft: Draft) -> list[Surfac
     """Move the stop to the lens surface that its plane touches, because surfaces of a design have a distance.
 
     If that surface is a plane, this is exact. Otherwise the stop follows the sag of the surface, which is a
-    loss.
+    loss. So is a stop whose plane lies behind the vertex of the next surface, within its sag, or in front of
+    that of the preceding one.
     """
     i = next((i for i, row in enumerate(rows[1:-1], start=1) if row.stop), 0)
     row, before, behind = rows[i], rows[i - 1], rows[min(i + 1, len(rows) - 1)]
@@ -231,6 +256,10 @@ def merge_touching_stop(rows: Sequence[SurfaceRow], draft: Draft) -> list[Surfac
         touched, distance_mm = i + 1, behind.thickness_mm
     elif before.thickness_mm == 0.0 and i > 1 and before.axes is None:
         touched, distance_mm = i - 1, row.thickness_mm
+    elif row.thickness_mm < 0.0 and i + 1 < len(rows) - 1 and behind.axes is None and not before.axes:
+        return _with_stop_within_sag(rows, draft, i, i + 1)
+    elif before.thickness_mm < 0.0 and i > 1 and before.axes is None and behind.axes is None:
+        return _with_stop_within_sag(rows, draft, i, i - 1)
     else:
         return list(rows)
     surface = rows[touched]
@@ -251,6 +280,44 @@ def merge_touching_stop(rows: Sequence[SurfaceRow], draft: Draft) -> list[Surfac
     kept[touched] = merged
     del kept[i]
     return kept
+
+
+def _with_stop_within_sag(
+    rows: Sequence[SurfaceRow], draft: Draft, stop: int, touched: int
+) -> list[SurfaceRow]:
+    """Return the rows with a surface as the stop whose plane lies within the sag of this surface."""
+    row, before, surface = rows[stop], rows[stop - 1], rows[touched]
+    total_mm = before.thickness_mm + row.thickness_mm
+    if not total_mm > 0.0 or surface.semi_diameter_mm == 0.0:
+        return list(rows)
+    depth = abs(row.thickness_mm) if touched > stop else abs(before.thickness_mm)
+    side = "behind" if touched > stop else "in front of"
+    draft.add_loss(
+        f"{row.name}: the stop lies {depth:g} mm {side} the vertex of {surface.name} and is read as its "
+        "aperture"
+    )
+    _shift_recorded_stop(draft, row.thickness_mm if touched > stop else -before.thickness_mm)
+    kept = list(rows)
+    # The stop's own semi-diameter is that of its plane; the marginal ray gives the one at the surface.
+    merged = replace(surface, stop=True, glass_semi_diameter_mm=surface.semi_diameter_mm)
+    if touched > stop:
+        kept[stop - 1] = replace(before, thickness_mm=total_mm)
+    else:
+        merged = replace(merged, thickness_mm=total_mm)
+    kept[touched] = merged
+    del kept[stop]
+    return kept
+
+
+def _shift_recorded_stop(draft: Draft, shift_mm: float) -> None:
+    """Move the stop along the axis in the surfaces that the finished lens is compared with."""
+    k = next((i for i, surface in enumerate(draft.recorded) if surface.stop), 0)
+    if k:
+        before, plane = draft.recorded[k - 1 : k + 1]
+        draft.recorded[k - 1 : k + 1] = [
+            replace(before, distance_mm=before.distance_mm + shift_mm),
+            replace(plane, distance_mm=plane.distance_mm - shift_mm),
+        ]
 
 
 def _extract_pose(rows: list[SurfaceRow], draft: Draft) -> tuple[list[SurfaceRow], Pose, float, float]:
@@ -392,7 +459,8 @@ def _surfaces(rows: Sequence[SurfaceRow], draft: Draft) -> list[dict[str, Any]]:
         if not 0.0 < row.thickness_mm < math.inf:
             raise InputError(
                 f"{row.location}: the next surface lies {row.thickness_mm:g} mm behind {row.name}; "
-                f"in a design this must be finite and greater than 0{_mirrors(draft)}"
+                f"surfaces follow each other in a design, so the distance must be finite and 0 or more in "
+                f"the file{_mirrors(draft)}"
             )
     return [
         {

@@ -345,7 +345,7 @@ def _of_object_and_sensor(lens: Lens) -> Iterator[str]:
     glass = lens.sensor.cover_glass
     if glass is not None:
         location, others = "sensor, cover_glass", _others(lens)
-        sheet = _thickness(others, True, cemented=False)
+        sheet = _thickness(others, True, touches=False)
         yield from implausible_values(f"{location}, thickness_mm", glass.thickness_mm, sheet)
         gap = _between(others, 0.0)
         yield from implausible_values(f"{location}, distance_mm", glass.distance_mm, gap)
@@ -368,7 +368,11 @@ def _of_surfaces(lens: Lens) -> Iterator[str]:
         if thickness is not None:
             others = _others(lens, "thicknesses")
             glass_behind = any(not is_gap(s.material) for s in lens.surfaces[number : number + 1])
-            plausible = _thickness(others, is_glass, cemented=glass_before or glass_behind)
+            plausible = _thickness(
+                others,
+                is_glass,
+                touches=(glass_before or glass_behind) if is_glass else (glass_before and glass_behind),
+            )
             yield from implausible_values(f"{location}, thickness_mm", thickness, plausible)
         half = semi if semi is not None else 0.5 * _geometric_median(_diameters(lens))
         for key in ("radius_mm", "radius_x_mm"):
@@ -396,11 +400,14 @@ def _semi_diameter(lens: Lens, number: int) -> Iterator[str]:
     yield from implausible_values(f"surface {number}, semi_diameter_mm", semi, _between(others, 0.002 * size))
 
 
-def _thickness(others: list[float], is_glass: bool, *, cemented: bool) -> PlausibleLength:
-    """Return the range of a thickness of glass or air; `cemented` if glass adjoins it."""
+def _thickness(others: list[float], is_glass: bool, *, touches: bool) -> PlausibleLength:
+    """Return the range of a thickness of glass or air.
+
+    `touches` is True for glass that adjoins other glass, and for air between two glasses.
+    """
     middle = _geometric_median(others)
-    if is_glass and cemented:
-        least = 0.0  # cement, or a layer on glass
+    if touches:
+        least = 0.0  # cement, a layer on glass, or elements that touch at the vertex or at the rim
     elif is_glass:
         least = min(middle / 200.0, 0.03)  # thinner sheets of glass are not sold
     else:

@@ -411,7 +411,7 @@ FAULTS = [
     ("DISZ 9.0", "DISZ 1_0", "'1_0' must be"),
     ("DISZ 9.0", f"DISZ {'1' * 5000}", r"'1111.*\.\.\.' must be"),
     ("DISZ 9.0", "DISZ", "0 values; at least 1"),
-    ("DISZ 9.0", "DISZ 0.0", "the next surface lies 0 mm behind surface 1"),
+    ("DISZ 9.0", "DISZ 0.0", "surface 1 and surface 2 cross .*their distance is 0 mm"),
     ("DISZ 9.0", "DISZ -9.0", "the next surface lies -9 mm behind surface 1"),
     ("DISZ 9.0", "DISZ INFINITY", "the next surface lies inf mm behind surface 1"),
     ("SURF 2", "SURF 7", "SURF '7' where surface 2 must follow"),
