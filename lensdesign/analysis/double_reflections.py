@@ -398,7 +398,7 @@ class _Light:
 
     def _inside(self, distance_mm: Array, half_mm: float) -> Array:
         """Return 1 where a distance is within half a size, and 0 beyond, with the width of the edge."""
-        if self.edge_width == 0.0:
+        if self.edge_width == 0.0 or half_mm == 0.0:
             return (distance_mm <= half_mm).astype(float)
         step = np.clip(0.5 + (half_mm - distance_mm) / (self.edge_width * half_mm), 0.0, 1.0)
         return np.asarray(step**2 * (3.0 - 2.0 * step))

@@ -18,7 +18,13 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.exploration.objectives import Axis, Objective, values_of
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.local_search import Budget, SearchResult, search_from, starts_of
+from lensdesign.optimization.local_search import (
+    Budget,
+    SearchResult,
+    UntraceableStartError,
+    search_from,
+    starts_of,
+)
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
@@ -203,7 +209,10 @@ class Exploration:
         feasible = 0
         for start in starts:
             budget = Budget(problem.specification.optimize.max_evaluations)
-            result = search_from(problem, start, budget, 0, lambda *_: None)
+            try:
+                result = search_from(problem, start, budget, 0, lambda *_: None)
+            except UntraceableStartError:
+                continue
             if best is None or result.rank < best.rank:
                 best = result
             feasible += result.outcome.violation <= ACCEPTED_VIOLATION

@@ -11,6 +11,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.deadlines import now
+from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.nlopt_driver import (
@@ -97,6 +98,10 @@ class SearchResult:
         return violation, self.outcome.objective
 
 
+class UntraceableStartError(DesignError):
+    """A start from which no lens can be evaluated, so that it has no result; others may have one."""
+
+
 def search_from(
     problem: DesignProblem,
     start: Array,
@@ -124,7 +129,28 @@ def search_from(
         Whether the search ends as soon as every constraint is met, including those of the final lens.
     on_point
         Called with each new best point (default: none).
+
+    Raises
+    ------
+    UntraceableStartError
+        If a lens of the search cannot be evaluated.
     """
+    try:
+        return _search_from(problem, start, budget, seed, on_improvement, only_feasible, on_point)
+    except InputError as error:
+        raise UntraceableStartError(str(error)) from error
+
+
+def _search_from(
+    problem: DesignProblem,
+    start: Array,
+    budget: Budget,
+    seed: int,
+    on_improvement: Improved,
+    only_feasible: bool,
+    on_point: Callable[[Array], None] | None,
+) -> SearchResult:
+    """Return the result of :func:`search_from`."""
     specification = problem.specification
     rays, dense = problem.sample_rays(3, 5, 1, _heights(problem)), dense_rays(problem)
     algorithms = _algorithm_sequence("slsqp" if only_feasible else specification.optimize.algorithm)
@@ -305,24 +331,42 @@ def _stationary(function: Callable[[Array], Evaluation], point: Array) -> bool:
     return is_traceable and stationarity(found, point) <= tolerance
 
 
-def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
-    """Yield start points in the unit box; random points must allow an evaluation of all operands."""
+def starts_of(problem: DesignProblem, seed: int, count: int | None = None) -> Iterator[Array]:
+    """Yield start points in the unit box; random points must allow an evaluation of all operands.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    seed
+        Seed of the random points.
+    count
+        Largest number of points (default: that of the specification).
+    """
     settings = problem.specification.optimize
     rng = np.random.default_rng(seed)
     rays = problem.sample_rays(3, 9, 4)
-    remaining = settings.starts
+    remaining = settings.starts if count is None else count
     if settings.start != "random":
         yield problem.to_unit(problem.base if settings.start == "design" else _flat_start(problem))
         remaining -= 1
     for _ in range(remaining):
         for _ in range(500):
             point = rng.random(len(problem.ranges))
-            goals, constraints = problem.rows(point, rays, derivatives=False)
-            if all(np.max(row.values) < 0.5 * UNTRACEABLE for row in (*goals, *constraints)):
+            if _is_traceable(problem, point, rays):
                 yield point
                 break
         else:
             return
+
+
+def _is_traceable(problem: DesignProblem, point: Array, rays: Rays) -> bool:
+    """Return whether all operands can be evaluated at a point."""
+    try:
+        goals, constraints = problem.rows(point, rays, derivatives=False)
+    except InputError:
+        return False
+    return all(np.max(row.values) < 0.5 * UNTRACEABLE for row in (*goals, *constraints))
 
 
 def _flat_start(problem: DesignProblem) -> Lens:

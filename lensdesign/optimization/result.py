@@ -73,11 +73,14 @@ class GlassChoiceResult:
         Results of its starts.
     limit
         Limit that ended the starts before they agreed; empty if there was none.
+    dropped
+        Reason of each start that could not be evaluated.
     """
 
     glasses: str
     found: tuple[SearchResult, ...]
     limit: str
+    dropped: tuple[str, ...] = ()
 
     @property
     def best(self) -> SearchResult:
@@ -264,6 +267,9 @@ def _result(
     try:
         lens = finished_lens(problem, point, best.rays)
     except DesignError as error:
+        others = [replace(t, found=tuple(one for one in t.found if one is not best)) for t in tried]
+        if any(t.found for t in others):
+            return _result(specification, others, ending, reach)
         if ending.interrupted:
             raise KeyboardInterrupt(f"interrupted; nothing was written: {error}") from None
         sentences = [*unfinished, str(error)]

@@ -10,7 +10,14 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.deadlines import DeadlineExceeded, deadline, no_deadline, now
 from lensdesign.common.given import FilePath, object_of
 from lensdesign.errors import DesignError
-from lensdesign.optimization.local_search import Budget, SearchResult, search_from, starts_of, stopped_at
+from lensdesign.optimization.local_search import (
+    Budget,
+    SearchResult,
+    UntraceableStartError,
+    search_from,
+    starts_of,
+    stopped_at,
+)
 from lensdesign.optimization.nlopt_driver import FEASIBLE
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.result import INTERRUPT, GlassChoiceResult, OptimizationResult, result_of
@@ -147,25 +154,37 @@ def _nothing_tried(tried: list[GlassChoiceResult]) -> str:
     if limits:
         names = " and ".join(sorted(limits))
         return f"no start was made: {names} ended the search before the first one; use a larger limit"
-    return "no start can be traced: no random lens transmits all rays; narrow the bounds"
+    dropped = [error for t in tried for error in t.dropped]
+    reason = f"; the first start ended with: {dropped[0]}" if dropped else ""
+    return f"no start can be traced: no random lens transmits all rays{reason}; narrow the bounds"
 
 
 def _try(
     glasses: str, problem: DesignProblem, budget: Budget, seed: int, progress: _Progress
 ) -> GlassChoiceResult:
-    """Search with one choice of glasses until enough starts agree, or a limit or the user stops it."""
+    """Search with one choice of glasses until enough starts agree, or a limit or the user stops it.
+
+    A start that cannot be evaluated is replaced by another one.
+    """
     settings = problem.specification.optimize
     tried = GlassChoiceResult(glasses, (), "")
     try:
         with deadline(budget.deadline):
-            for number, start in enumerate(starts_of(problem, seed)):
+            for number, start in enumerate(starts_of(problem, seed, 2 * settings.starts)):
+                if len(tried.found) == settings.starts:
+                    break
                 if budget.used_up:
                     return replace(tried, limit=budget.used_up)
                 progress.begin(number, tried)
-                found = search_from(
-                    problem, start, budget, seed + number, progress.improved, on_point=progress.reached
-                )
-                tried = GlassChoiceResult(glasses, (*tried.found, found), found.limit)
+                try:
+                    found = search_from(
+                        problem, start, budget, seed + number, progress.improved, on_point=progress.reached
+                    )
+                except UntraceableStartError as error:
+                    tried = replace(tried, dropped=(*tried.dropped, str(error)))
+                    progress.points = []
+                    continue
+                tried = replace(tried, found=(*tried.found, found), limit=found.limit)
                 progress.points = []
                 if tried.at_best >= settings.agreeing:
                     return replace(tried, limit="")
@@ -183,7 +202,7 @@ def _kept(
     if progress.points:
         with no_deadline():
             found = (*found, stopped_at(problem, progress.points, progress.evaluations, limit))
-    return GlassChoiceResult(tried.glasses, found, limit)
+    return replace(tried, found=found, limit=limit)
 
 
 @dataclass

@@ -187,7 +187,10 @@ def launch_pairs(
     stop_index: int,
     stop_semi_diameter_mm: float,
 ) -> tuple[Array, Array]:
-    """Return rays for a compiled system, one from each field point through the stop point of equal index."""
+    """Return rays for a compiled system, one from each field point through the stop point of equal index.
+
+    The direction to a stop point beyond the edge of its surface is NaN.
+    """
     origins = np.empty((len(field_points_mm), 3))
     origins[:, :2] = field_points_mm
     origins[:, 2] = object_z_mm
@@ -197,7 +200,9 @@ def launch_pairs(
     dx, dy, dz = np.moveaxis(directions, -1, 0)  # np.sum over an axis of length 3 is slow
     directions /= np.sqrt(dx * dx + dy * dy + dz * dz)[..., None]
     if stop_index > 0:
-        directions = _aim(system, stop_index, origins, directions, xy)
+        on_surface = np.isfinite(directions).all(axis=-1, keepdims=True)
+        aimed = _aim(system, stop_index, origins, np.where(on_surface, directions, [0.0, 0.0, 1.0]), xy)
+        directions = np.where(on_surface, aimed, np.nan)
     return origins, directions if system.trials is not None else directions[0]
 
 

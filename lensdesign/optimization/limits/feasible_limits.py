@@ -13,7 +13,7 @@ from lensdesign.common.deadlines import DeadlineExceeded
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.optimization.limits.limited_quantities import APERTURE, FIELD
 from lensdesign.optimization.limits.search import Limit, LimitsInterrupted, find_limits
-from lensdesign.optimization.local_search import Budget, search_from
+from lensdesign.optimization.local_search import Budget, UntraceableStartError, search_from
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.specification.specification import Specification
@@ -158,7 +158,10 @@ def _best_as_built(specification: Specification, base: Lens, point: Array) -> Fe
         if limit is None:
             continue
         problem = DesignProblem(_nominal(specification, goal), base)
-        found = search_from(problem, point, Budget(most_evaluations), 0, lambda *_: None)
+        try:
+            found = search_from(problem, point, Budget(most_evaluations), 0, lambda *_: None)
+        except UntraceableStartError:
+            return None
         if found.outcome.violation > ACCEPTED_VIOLATION:
             return None
         built = problem.predicted(found.outcome.point)

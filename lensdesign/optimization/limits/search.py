@@ -24,7 +24,14 @@ from lensdesign.common.text import number_with_unit
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.limits.limited_quantities import LimitedQuantity, limited_quantities
-from lensdesign.optimization.local_search import Budget, SearchResult, dense_rays, search_from, starts_of
+from lensdesign.optimization.local_search import (
+    Budget,
+    SearchResult,
+    UntraceableStartError,
+    dense_rays,
+    search_from,
+    starts_of,
+)
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
@@ -324,28 +331,26 @@ class _LimitSearch:
         return True
 
     def _search(self, value: float, glasses: str, point: Array) -> SearchResult | None:
-        """Return the result of a search for a feasible lens; None if the value is not valid."""
+        """Return the result of a search for a feasible lens; None if the value or the start is not valid."""
         problem = self._problem(value, glasses)
         if problem is None:
             return None
         if self.budget.used_up:
             raise _BudgetSpent
         budget = Budget(min(1500, self.budget.evaluations))
-        found = search_from(problem, point, budget, next(self.seeds), lambda *_: None, only_feasible=True)
-        self.budget.spend(budget.spent)
-        return found
+        try:
+            return search_from(problem, point, budget, next(self.seeds), lambda *_: None, only_feasible=True)
+        except UntraceableStartError:
+            return None
+        finally:
+            self.budget.spend(max(1, budget.spent))
 
     def _fresh(self, value: float, glasses: str, count: int) -> Iterator[Array]:
         """Yield start points: the specification's own, then random ones."""
         problem = self._problem(value, glasses)
         if problem is None:
             return
-        own = problem.specification.optimize.starts
-        if own < count:
-            settings = problem.specification.optimize.replaced(starts=count)
-            asked = problem.specification.model_copy(update={"optimize": settings})
-            problem = DesignProblem(asked, problem.base)
-        yield from itertools.islice(starts_of(problem, next(self.seeds)), count)
+        yield from starts_of(problem, next(self.seeds), count)
 
     def _problem(self, value: float, glasses: str) -> DesignProblem | None:
         try:

@@ -19,10 +19,13 @@ from lensdesign.optimization.limits import search as limits_search
 from lensdesign.optimization.limits.feasible_limits import FeasibilityLimit
 from lensdesign.optimization.limits.limited_quantities import FIELD as FIELD_LIMIT
 from lensdesign.optimization.limits.search import find_limits
+from lensdesign.optimization.local_search import UntraceableStartError
+from lensdesign.optimization.nlopt_driver import UNTRACEABLE
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
 from lensdesign.optimization.result import GlassChoiceResult
 from lensdesign.optimization.search import optimize
+from lensdesign.optimization.specification.choices import bases_of
 from lensdesign.optimization.specification.sections import Constraints, FieldSpread, Settings, Tolerances
 from lensdesign.optimization.specification.specification import Specification, load_specification
 from lensdesign.optimization.specification.variables import VariableRange
@@ -578,3 +581,60 @@ def test_a_stop_that_is_no_surface_is_refused(thinnest: Specification, choices: 
             thinnest.model_dump(by_alias=True)
             | {"variable": [*(v.model_dump() for v in thinnest.variables), stop.model_dump()]}
         )
+
+
+def test_stop_points_beyond_the_edge_of_an_inner_stop_have_no_rays() -> None:
+    """As of a stop on the first surface: such a random start may not end the search."""
+    specification = load_specification(DESIGNS / "as_built_spec.toml")
+    ((_, base),) = [one for one in bases_of(specification) if one[1].stop_index == 1]
+    nominal = changed(specification, tolerances=None, optimize=Settings(stop="numerical aperture"))
+    problem = DesignProblem(nominal, base)
+    rays = problem.sample_rays(3, 9, 4)
+    point = np.array([0.38367755, 0.99720994, 0.98083534, 0.68554198, 0.65045928])
+    state = problem.state(point, rays, derivatives=False)
+    (trace,) = state.traces
+    beyond = np.isnan(state.lens.surfaces[1].shape.sag(*(trace.stop_semi_diameter_mm * rays.pupil.T)))
+    assert beyond.any()
+    assert not trace.ok[beyond].any()
+    for derivatives in (False, True):
+        (spread,), _ = problem.rows(point, rays, derivatives=derivatives)
+        assert np.isfinite(spread.by).all()
+        assert spread.values[beyond].min() == UNTRACEABLE
+
+
+def test_a_start_that_cannot_be_evaluated_is_replaced(
+    thinnest: Specification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    specification = changed(thinnest, optimize=thinnest.optimize.replaced(starts=2, agreeing=1))
+    searched, starts = search.search_from, []
+
+    def lost(*given: object, **named: object) -> object:
+        starts.append(given[1])
+        if len(starts) < 3:
+            raise UntraceableStartError("a ray was lost")
+        return searched(*given, **named)
+
+    monkeypatch.setattr(search, "search_from", lost)
+    found = optimize(specification)
+    assert (len(starts), found.starts, found.feasible) == (3, 1, True)
+    starts.clear()
+    with pytest.raises(DesignError, match="a ray was lost"):
+        optimize(changed(specification, optimize=specification.optimize.replaced(starts=1)))
+    assert len(starts) == 2
+
+
+def test_a_start_whose_lens_cannot_be_made_gives_way_to_the_next(
+    thinnest: Specification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finish, points = result.finished_lens, []
+
+    def crossed(problem: DesignProblem, point: np.ndarray, rays: Rays) -> object:
+        points.append(point)
+        if len(points) == 1:
+            raise DesignError("surfaces 1 and 2 cross")
+        return finish(problem, point, rays)
+
+    monkeypatch.setattr(result, "finished_lens", crossed)
+    found = optimize(changed(thinnest, optimize=thinnest.optimize.replaced(starts=2, agreeing=2)))
+    assert (found.starts, found.feasible) == (1, True)
+    assert len(points) == 2
