@@ -111,7 +111,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     rows, filled = _with_stop(rows, draft, values, catalogs, requested)
     rows = _without_crossings(rows, draft, values, catalogs)
     if draft.dropped and not lossy:
-        raise LossyImportError(source, draft.dropped)
+        raise LossyImportError(source, list(draft.dropped))
     surfaces = _surfaces(rows, draft)
     optional = ("cover_glass", "reflectance")
     missing = [name for name, value in values.items() if value is None and name not in optional]

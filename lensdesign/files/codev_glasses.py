@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 from lensdesign.errors import InputError
 from lensdesign.files.draft import parse_number, quoted
+from lensdesign.files.index_records import is_d_line
 from lensdesign.files.index_tables import tabulated_index
 from lensdesign.lens.catalogues.thermal import LOWEST_INDEX
 
@@ -52,9 +53,6 @@ FORMULAS: dict[str, tuple[str, int, Formula]] = {
 """Dispersion formulas by keyword: name, maximum number of coefficients, n(coefficients, wavelength_um)."""
 
 
-D_LINE_NM = 587.5618
-
-
 @dataclass(frozen=True)
 class CodedGlass:
     """Index of a glass code at the d line, and its Abbe number (0: no dispersion)."""
@@ -64,8 +62,7 @@ class CodedGlass:
 
     def is_exact_at(self, wavelengths_um: Sequence[float]) -> bool:
         """Return whether the index is that of the glass at all of the wavelengths."""
-        same_line_nm = 0.1  # files give the same spectral line with different numbers of digits
-        return not self.abbe or all(abs(1000.0 * w - D_LINE_NM) <= same_line_nm for w in wavelengths_um)
+        return not self.abbe or is_d_line(wavelengths_um)
 
 
 def coded_glass(token: str, location: str) -> CodedGlass | None:

@@ -36,18 +36,25 @@ class IndexRecord:
 
         The record and the material with its nd and Abbe number are each continued by Cauchy's formula with
         two terms. Their difference is added to the index of the material, so that the error of this formula
-        is small.
+        is small. A material that is a number has no dispersion.
         """
         summary = glass_summary(material, catalogs)
         nd, vd = summary["nd"], summary["vd"]
         if nd is None:
             return None
         difference = self.nd - nd
-        if self.vd and vd:
-            slope = (self.nd - 1.0) / self.vd - (nd - 1.0) / vd
+        is_constant = not isinstance(material, str)
+        if self.vd and (vd or is_constant):
+            slope = (self.nd - 1.0) / self.vd - ((nd - 1.0) / vd if vd else 0.0)
             span = LINE_F_UM**-2 - LINE_C_UM**-2
             difference += slope * (wavelength_um**-2 - LINE_D_UM**-2) / span
         return float(get_material(material, catalogs).index(wavelength_um) + difference)
+
+
+def is_d_line(wavelengths_um: Sequence[float]) -> bool:
+    """Return whether all wavelengths are the d line, so that an index at this line needs no dispersion."""
+    same_line_um = 1e-4  # files give the same spectral line with different numbers of digits
+    return all(abs(w - LINE_D_UM) <= same_line_um for w in wavelengths_um)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ from lensdesign.files.draft import (
     read_vignetting,
     written_surfaces,
 )
-from lensdesign.files.index_records import IndexRecord
+from lensdesign.files.index_records import IndexRecord, is_d_line
 from lensdesign.files.zemax_configurations import SOLVES, text_of_configuration
 from lensdesign.lens.glass import get_material, glass_summary, is_gap, list_glasses
 from lensdesign.lens.lens import Lens
@@ -383,14 +383,12 @@ def _material(
     if kind == 1 or name.upper() in ("___BLANK", "MODEL"):
         index = value_at(values, 2, surface.glass_location)
         abbe = value_at(values, 3, surface.glass_location) if len(values) > 3 else 0.0
-        if abbe:
-            reader.draft.add_loss(f"{surface.name}: dispersion of the model glass (Abbe number {abbe:g})")
+        _lose_dispersion(reader, surface.name, IndexRecord(index, abbe or None), "the model glass")
         return index
     if name.isdecimal() and len(name) == 6:
-        reader.draft.add_loss(
-            f"{surface.name}: dispersion of the glass number {name} (Abbe number {int(name[3:]) / 10:g})"
-        )
-        return 1.0 + int(name[:3]) / 1000
+        coded = IndexRecord(1.0 + int(name[:3]) / 1000, int(name[3:]) / 10)
+        _lose_dispersion(reader, surface.name, coded, f"the glass number {name}")
+        return coded.nd
     if kind > 1:
         reader.draft.add_remark(f"{surface.name}: solve or pickup of the glass replaced by its present value")
     record = _index_record(values, surface.glass_location)
@@ -411,6 +409,18 @@ def _material(
     if record is not None:
         reader.draft.compare_index(surface.name, found, record, catalogs, is_foreign)
     return found
+
+
+def _lose_dispersion(reader: FileReader, surface_name: str, record: IndexRecord, glass: str) -> None:
+    """Add a loss if the index of a glass without a name is not that at all wavelengths of the design."""
+    wavelengths_um = reader.draft.wavelengths_um
+    if not record.vd or is_d_line(wavelengths_um):
+        return
+    w = wavelengths_um[0]
+    reader.draft.add_loss(
+        f"{surface_name}: dispersion of {glass} (Abbe number {record.vd:g}); its index at the d line, "
+        f"{record.nd:g}, is used, and at {w:g} µm it is about {record.index(record.nd, w, ()):.4f}"
+    )
 
 
 def _index_record(values: Sequence[str], location: str) -> IndexRecord | None:

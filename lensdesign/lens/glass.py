@@ -17,7 +17,13 @@ from typing import Any
 
 from lensdesign.errors import MaterialError
 from lensdesign.lens.catalogues.agf import LINE_C_UM, LINE_D_UM, LINE_F_UM, AgfGlass, read_agf
-from lensdesign.lens.catalogues.database import Page, database_pages, database_version, read_page
+from lensdesign.lens.catalogues.database import (
+    Page,
+    Table,
+    database_pages,
+    database_version,
+    read_page,
+)
 from lensdesign.lens.catalogues.thermal import (
     LOWEST_INDEX,
     REFERENCE_C,
@@ -372,6 +378,13 @@ def _database_entries() -> tuple[_Entry, ...]:
                 f"{page.book_name}; {page.name} "
                 f"(refractiveindex.info {database_version()}, {page.shelf}/{page.book}/{page.page})"
             )
+            notes: tuple[str, ...] = ()
+            if isinstance(data.dispersion, Table):
+                notes = (
+                    f"the index of {names[0]} ({catalog}) is known at "
+                    f"{len(data.dispersion.wavelengths_um)} wavelengths; between them it is interpolated "
+                    "linearly, and may differ from a dispersion formula by 1e-4 and more",
+                )
             return Material(
                 names[0],
                 data.wavelength_range_um,
@@ -380,6 +393,7 @@ def _database_entries() -> tuple[_Entry, ...]:
                 data.dispersion,
                 data.thermal,
                 data.density_g_per_cm3,
+                notes,
             )
 
         entries.extend(_Entry(name, catalog, load) for name in names)

@@ -104,3 +104,23 @@ def test_the_difference_at_the_design_wavelength_is_said() -> None:
     assert found is not None
     assert found.nd == pytest.approx(7.71e-4, abs=1e-6)
     assert "at 0.4861" in found.text
+
+
+@pytest.mark.parametrize(("wavelength", "index"), [("0.5876", 1.6), ("0.55", 1.6032), ("0.6562725", 1.5955)])
+def test_a_model_glass_is_exact_at_the_d_line_alone(tmp_path: Path, wavelength: str, index: float) -> None:
+    """By Cauchy's formula through nd = 1.6 and an Abbe number of 40."""
+    glass = ("PMMA 0 0 1.491756 57.440791", "___BLANK 1 0 1.6 40")
+    path = edited(tmp_path, "pmma_misc.zmx", ("0.5875618", wavelength), glass)
+    if index == 1.6:
+        assert read_zmx(path, SENSOR).dropped == ()
+        return
+    with pytest.raises(LossyImportError, match="Abbe number 40"):
+        read_zmx(path, SENSOR)
+    (loss,) = read_zmx(path, SENSOR, lossy=True).dropped
+    assert float(loss.split()[-1]) == pytest.approx(index, abs=1.01e-4)
+
+
+def test_a_tabulated_index_is_said(tmp_path: Path) -> None:
+    glass = ("PMMA 0 0 1.491756 57.440791", "B270 0 0 1.5 40")
+    remarks = read_zmx(edited(tmp_path, "pmma_misc.zmx", glass), SENSOR).remarks
+    assert any("B270" in remark and "linearly" in remark for remark in remarks)
