@@ -65,6 +65,7 @@ from lensdesign.files.draft import (
     read_vignetting,
     written_surfaces,
 )
+from lensdesign.files.index_records import IndexRecord
 from lensdesign.lens.glass import get_material, normalized_name, refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
@@ -166,6 +167,7 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
                 surface.thickness_mm,
                 material,
                 surface.stop,
+                _recorded_index(surface.glass),
             )
         )
         glass_before = surface.glass
@@ -176,6 +178,15 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
     if reader.surfaces:
         draft.apply_focus_shift()
     return draft
+
+
+def _recorded_index(glass: str) -> IndexRecord | None:
+    """Return what a glass code states on the index, read a second time for the check of the import."""
+    index_text, colon, _ = glass.partition(":")
+    if colon:
+        return IndexRecord(float(index_text))
+    code = re.fullmatch(r"(\d{3})\d{3}|(\d{3,})\.\d{3,}", glass, re.ASCII)
+    return IndexRecord(float(f"1.{code[1] or code[2]}")) if code else None
 
 
 def _is_dummy(surface: FileSurface, glass_before: str) -> bool:

@@ -13,7 +13,9 @@ from places import GOLDEN
 from lensdesign import InputError, Lens, MaterialError, Pose, scaled
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
+from lensdesign.files import codev
 from lensdesign.files.codev import read_seq, write_seq
+from lensdesign.files.codev_glasses import CodedGlass, coded_glass
 from lensdesign.files.draft import LossyImportError, Supplement
 
 # The textbook Cooke triplet of 50 mm focal length, f/5, as CODE V would save it.
@@ -634,3 +636,25 @@ def test_names_of_private_glasses_name_no_catalogue(tmp_path: Path, paper_lens: 
     assert read_seq(path).lens == lens
     path.write_text(path.read_text().replace("TRANSFERLENS", "TRANSFERLENS_"))
     assert read_seq(path).lens == lens
+
+
+@pytest.mark.parametrize("code", ["517642", "516800.641700", "1.5168:64.17", "1.5168 64.17"])
+def test_a_misread_glass_code_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str) -> None:
+    """The check of the import reads the code a second time."""
+    text = (
+        "LEN NEW\nDIM M\nWL 587.5618\nNAO 0.02\nYOB 0 1\nSO 0 100\nS 50 3 "
+        + code
+        + "\nSTO\nS -50 60\nSI 0 0\n"
+    )
+    path = tmp_path / "lens.seq"
+    path.write_text(text)
+    supplement = Supplement(pixel_pitch_um=3.2, pixels=(100, 100))
+    assert read_seq(path, supplement).lens.surfaces[0].material == pytest.approx(1.5168, abs=3e-4)
+
+    def misread(token: str, location: str) -> CodedGlass | None:
+        found = coded_glass(token, location)
+        return None if found is None else CodedGlass(1.1, found.abbe)
+
+    monkeypatch.setattr(codev, "coded_glass", misread)
+    with pytest.raises(InputError, match=r"index of 1\.1 was read .* 1\.51"):
+        read_seq(path, supplement)
