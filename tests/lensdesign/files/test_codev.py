@@ -642,7 +642,7 @@ def test_names_of_private_glasses_name_no_catalogue(tmp_path: Path, paper_lens: 
 def test_a_misread_glass_code_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str) -> None:
     """The check of the import reads the code a second time."""
     text = (
-        "LEN NEW\nDIM M\nWL 587.5618\nNAO 0.02\nYOB 0 1\nSO 0 100\nS 50 3 "
+        "RDM;LEN\nDIM M\nWL 587.5618\nNAO 0.02\nYOB 0 1\nSO 0 100\nS 50 3 "
         + code
         + "\nSTO\nS -50 60\nSI 0 0\n"
     )
