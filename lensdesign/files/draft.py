@@ -681,6 +681,15 @@ def find_glass(
     maker = _maker_of(name, catalogs, location)
     if makers and maker.upper() in GLASS_MAKERS:
         named = ", ".join(dict.fromkeys(makers))
+        others = {
+            n: c
+            for n, c in list_glasses(catalogs)
+            if n.casefold() == name.casefold() and c.upper() not in GLASS_MAKERS
+        }
+        if len(others) == 1:  # a crystal or plastic whose name is also that of a glass
+            ((found, maker),) = others.items()
+            remark(f"{name} is {found} of {maker}; the file names the catalogues {named}")
+            return found
         if "-" not in name:
             raise MaterialError(
                 f"{location}: glass {quoted(name)} is not known from the catalogues that the file names "

@@ -201,7 +201,8 @@ def _with_surface_breaks(rows: Sequence[SurfaceRow], reader: FileReader) -> list
             1: before,
             2: None if before is None else before.inverse(),
         }[surface.behind_status]
-        if before is not None and not before.is_identity:
+        # Axes that change in front of the object move everything alike.
+        if before is not None and not before.is_identity and result:
             name = f"{row.name}, its property Tilt/Decenter (SCBD 1: {before.text})"
             result.append(SurfaceRow(name, row.location, axes=before))
         if behind is None or behind.is_identity or surface is reader.surfaces[-1]:
@@ -389,7 +390,10 @@ def _material(
         coded = IndexRecord(1.0 + int(name[:3]) / 1000, int(name[3:]) / 10)
         _lose_dispersion(reader, surface.name, coded, f"the glass number {name}")
         return coded.nd
-    if kind > 1:
+    if kind > 3:  # 2 is a pickup, 3 a substitution by the search, 4 an offset of index and Abbe number
+        offset = quoted(" ".join(surface.glass))
+        reader.draft.add_loss(f"{surface.name}: offset of the index of a glass, GLAS {offset}")
+    elif kind > 1:
         reader.draft.add_remark(f"{surface.name}: solve or pickup of the glass replaced by its present value")
     record = _index_record(values, surface.glass_location)
     if isinstance(stored, str) and _token(stored) == name:
@@ -428,7 +432,7 @@ def _index_record(values: Sequence[str], location: str) -> IndexRecord | None:
 
     OpticStudio writes 1.5 and 40 (or zeros, or an index of 1) where no index was ever computed.
     """
-    if len(values) < 3:
+    if len(values) < 3 or integer_at(values, 0, location) > 3:  # those of an offset are no index
         return None
     nd = value_at(values, 2, location)
     vd = value_at(values, 3, location) if len(values) > 3 else 0.0

@@ -211,6 +211,14 @@ def test_glasses_of_makers_that_a_file_does_not_name_are_not_substituted(
         find_glass(name, ["SCHOTT", "MISC"], (), "")
 
 
+def test_a_crystal_is_not_the_glass_of_a_maker_whom_the_file_does_not_name() -> None:
+    """CDGM's BAF2 has nd 1.5697, barium fluoride 1.4745."""
+    remarks: list[str] = []
+    assert find_glass("BAF2", ["MISC", "INFRARED"], (), "", remarks.append) == "BaF2"
+    assert len(remarks) == 1
+    assert find_glass("BAF2", ["MISC", "CDGM"], (), "") in ("BAF2", "CDGM:BAF2")
+
+
 def test_a_glass_with_a_maker_s_own_prefix_is_found_with_a_remark() -> None:
     remarks: list[str] = []
     assert find_glass("S-LAH64", ["SCHOTT"], (), "", remarks.append) == "S-LAH64"

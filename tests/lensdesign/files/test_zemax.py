@@ -1098,3 +1098,21 @@ def test_a_file_without_a_wavelength_has_that_of_a_new_lens(tmp_path: Path) -> N
     assert any("0.55" in remark for remark in found.remarks)
     text = (IMPORTS / "no_wavm.zmx").read_text().replace("YFLN 0.5", "YFLN 0.5\nWAVM 1 0.6328 1")
     assert read_zmx(saved(tmp_path, text), SENSOR).lens.wavelengths_um == (0.6328,)
+
+
+def test_axes_in_front_of_the_object_move_nothing(tmp_path: Path) -> None:
+    text = TILTED.replace(PROPERTY, "").replace("SURF 0\n", "SURF 0\n  SCBD 1 0 0 0.1 0.5 2 0 0\n")
+    found = read_zmx(saved(tmp_path, text), SENSOR)
+    assert (found.dropped, found.pose) == ((), Pose())
+    with pytest.raises(LossyImportError, match="surface 0"):  # the object alone
+        read_zmx(saved(tmp_path, text.replace("2 0 0\n", "2 0 0\n  SCBD 2 1 2 0 0 0 0 0\n")), SENSOR)
+    with pytest.raises(LossyImportError, match="surface 3"):  # the image
+        read_zmx(
+            saved(tmp_path, TILTED.replace(PROPERTY, "").replace("SURF 3\n", f"SURF 3\n{PROPERTY}\n")), SENSOR
+        )
+
+
+def test_an_offset_of_the_index_is_a_loss(tmp_path: Path) -> None:
+    text = SINGLET.replace(RECORD, "N-BK7 4 0 0.01 0.5")
+    with pytest.raises(LossyImportError, match="surface 1: offset of the index"):
+        read_zmx(saved(tmp_path, text), SENSOR)
