@@ -1,11 +1,16 @@
 """The `lensdesign` command."""
 
-from lensdesign.common.interrupts import stoppable
+from collections.abc import Callable
+
+from lensdesign.common.startup import start_program
 
 
 def main() -> None:
     """Run the console script; interrupts are handled from its first import on."""
-    with stoppable():
-        from lensdesign.cli.commands import main
+    start_program(_import_main)
 
-        main()
+
+def _import_main() -> Callable[[], None]:
+    from lensdesign.cli.commands import main
+
+    return main

@@ -64,7 +64,7 @@ def stock(
         typer.Option(
             callback=output_file,
             metavar="FILE",
-            help="File that stores the index; default: a hidden file in FOLDER.",
+            help="File that stores the index; default: in your cache folder.",
             rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
@@ -101,11 +101,11 @@ def stock(
 ) -> None:
     """Find stock lenses in a folder of vendors' files, one or two in a row, that meet a specification.
 
-    The first run reads every file and keeps an index; later runs read new and changed files only. Single
-    lenses and air-spaced pairs are tried in both orientations. The working distance is found within the
-    bounds of its variable in the specification. The best lenses are written as designs, ordered by spread
-    angle and length; each meets the specification as `lensdesign check --against` checks it. Files that
-    cannot be used are listed with the reasons in left_out.csv.
+    The first run reads every file and keeps an index in your cache folder; later runs interpret new and
+    changed files only. Single lenses and air-spaced pairs are tried in both orientations. The working
+    distance is found within the bounds of its variable in the specification. The best lenses are written as
+    designs, ordered by spread angle and length; each meets the specification as `lensdesign check --against`
+    checks it. Files that cannot be used are listed with the reasons in left_out.csv.
 
     An interrupt (Ctrl-C, SIGTERM) keeps the index; the same command continues.
 

@@ -22,7 +22,7 @@ from typer.core import TyperGroup
 from lensdesign.common.input_files import files_from
 from lensdesign.common.interrupts import TOLD_ERRORS, stop_status, stoppable
 from lensdesign.common.settings_files import SettingsCommand, with_settings_file
-from lensdesign.common.text import ASCII_SPELLINGS, visible
+from lensdesign.common.text import ASCII_SPELLINGS, printable_name, visible
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-LONGEST_LINE, MOST_LINES = 4000, 60
-"""Largest length of a line of an error message, and largest number of its lines."""
+MOST_CHARACTERS, MOST_LINES = 8000, 60
+"""Largest length of an error message beyond its first line, and largest number of its lines."""
 
 
 Contents = Mapping[str, Mapping[str, str]]
@@ -159,6 +159,9 @@ def _message_of(error: Exception) -> str:
             return f"a number of the input is too large or too small to compute with: {error.args[-1]}"
         case MemoryError():
             return f"not enough memory: {error or 'no memory is free'}; reduce the amount of data"
+        case UnicodeEncodeError():
+            near = error.object[max(error.start - 60, 0) : error.end + 60]
+            return f"{printable_name(near)!r} is not UTF-8 and cannot be written; rename the file or folder"
         case OSError(errno=errno.EPIPE):
             _drop_output()
             raise SystemExit(1) from None
@@ -231,11 +234,16 @@ def say(head: str, text: str, *, to_errors: bool = False) -> None:
 
 def fail(message: str) -> None:
     """Print an error message and exit with status 2."""
-    lines = [visible(line) for line in message.split("\n")]
     # Messages contain names and values from files, which may be arbitrarily long.
-    lines = [line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]}..." for line in lines]
-    if len(lines) > MOST_LINES:
-        lines = [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more lines"]
+    lines, shown, characters = [visible(line) for line in message.split("\n")], list[str](), 0
+    for line in lines:
+        characters += len(line)
+        if shown and (characters > MOST_CHARACTERS or len(shown) == MOST_LINES):
+            break
+        shown.append(line)
+    if len(shown) < len(lines):
+        shown.append(f"and {len(lines) - len(shown)} more lines")
+    lines = shown
     say("error:", "\n".join(lines), to_errors=True)
     raise SystemExit(2)
 

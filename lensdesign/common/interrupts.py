@@ -22,7 +22,7 @@ REPEAT_SECONDS = 1.0
 GRACE_SECONDS = 10.0
 """Time limit for an orderly stop; after it, the process ends immediately."""
 
-TOLD_ERRORS = (TransferLensError, OSError, MemoryError, OverflowError)
+TOLD_ERRORS = (TransferLensError, OSError, MemoryError, OverflowError, UnicodeEncodeError)
 """Errors of which :func:`lensdesign.common.console.run_app` makes a message for the user."""
 
 

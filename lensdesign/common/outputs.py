@@ -32,6 +32,7 @@ def check_output_file(path: str | os.PathLike[str]) -> None:
     try:
         resolved = resolved_output(target)
         _try_name(resolved)
+        _check_depth(resolved)
         _try_folder(resolved.parent)
     except OSError as error:
         raise InputError(f"cannot write {target}: {_reason(error)}") from error
@@ -61,6 +62,8 @@ def check_output_folder(path: str | os.PathLike[str]) -> None:
     target = Path(path)
     try:
         resolved = Path(os.path.realpath(target))
+        _try_name(resolved)
+        _check_depth(resolved)
         for parent in (resolved, *resolved.parents):
             if parent.is_symlink() or parent.exists():
                 if not parent.is_dir():
@@ -75,6 +78,16 @@ def check_output_folder(path: str | os.PathLike[str]) -> None:
         if isinstance(error, InputError):
             raise
         raise InputError(f"cannot write to the folder {str(target)!r}: {error}") from error
+
+
+def _check_depth(path: Path) -> None:
+    """Raise an InputError for more missing folders in each other than anyone wants."""
+    most_new_folders = 100
+    if not any(parent.exists() for parent in list(path.parents)[: most_new_folders + 1]):
+        raise InputError(
+            f"cannot write {str(path)!r:.100}...: more than {most_new_folders} folders in each other would "
+            "have to be created; give a shorter path"
+        )
 
 
 def _try_name(path: Path) -> None:

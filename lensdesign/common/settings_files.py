@@ -20,6 +20,7 @@ from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.help_pages import HELP_ALL, GroupedCommand
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.outputs import output_file, output_folder
+from lensdesign.common.text import printable_name
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import InputError
 
@@ -210,7 +211,9 @@ class SettingsCommand(GroupedCommand):
                 stated = self._read(Path(file), ctx)
                 ctx.default_map = {n: v for n, v in stated.items() if not _is_given(given.get(n))}
         try:
-            return super().parse_args(ctx, args)
+            found = super().parse_args(ctx, args)
+            self._check_names(ctx)
+            return found
         except typer.BadParameter as error:
             name = str(getattr(getattr(error, "param", None), "name", None))
             if name not in (ctx.default_map or {}):
@@ -218,6 +221,19 @@ class SettingsCommand(GroupedCommand):
             key, value = self.parameters[name].keys[0], ctx.default_map[name]
             reason = error.message.removeprefix("Value error, ").replace("Input should be", "must be")
             raise InputError(f"{file}: {key} = {value!r}: {reason}") from None
+
+    def _check_names(self, ctx: Any) -> None:
+        """Refuse names that the settings of the results cannot state, before anything is computed."""
+        if not any(one.is_output_folder and ctx.params.get(one.name) for one in self.parameters.values()):
+            return
+        for one in self.parameters.values():
+            value = ctx.params.get(one.name)
+            for item in value if isinstance(value, list | tuple) else [value]:
+                if isinstance(item, str | Path) and (shown := printable_name(str(item))) != str(item):
+                    raise InputError(
+                        f"{shown}: its name is not UTF-8, so the settings of the results cannot state it; "
+                        "rename it"
+                    )
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and write the settings into the folder of its results."""

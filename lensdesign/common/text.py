@@ -54,6 +54,11 @@ def visible(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in kept)
 
 
+def printable_name(name: str) -> str:
+    """Return the name of a file as it can be stored and printed: bytes that are not UTF-8 become escapes."""
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
 def alternatives(words: Iterable[str]) -> str:
     """Return words as alternatives: "a, b or c"."""
     *first, last = words

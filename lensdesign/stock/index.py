@@ -1,15 +1,21 @@
-"""Index of a folder of vendors' lens files, which are read only when they have changed.
+"""Index of a folder of vendors' lens files, which are interpreted only when their contents have changed.
 
 The index is a text file with one JSON object a line. The first line identifies it and what affects the
-reading: the version of the toolkit and the glass catalogues. Each further line holds one file: its size and
-time of change, and its lens or the reason why it has none. Lines are appended while files are read, so an
-interrupted run loses only the files that its workers were reading.
+reading: the version of the toolkit and the contents of the glass catalogues. Each further line holds one
+file: the SHA-256 of its contents, its lens or the reason why it has none, and a code of the whole line. Lines
+are appended while files are read, so an interrupted run loses only the files that its workers were reading.
+
+The code (HMAC, RFC 2104) uses a key in the user's cache folder. A line that someone else has written, or that
+has changed, is ignored, so that the vendor's file is read again.
 """
 
 from __future__ import annotations
 
+import hashlib
+import hmac
 import json
 import os
+import secrets
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -18,18 +24,19 @@ from pathlib import Path
 from typing import Any
 
 from lensdesign.common.atomic_files import atomic_path
+from lensdesign.common.caches import user_cache_folder
 from lensdesign.common.clusters import toolkit_version
-from lensdesign.common.input_files import TABLE_BYTES, read_input
+from lensdesign.common.input_files import CATALOG_BYTES, LENS_FILE_BYTES, TABLE_BYTES, read_input
 from lensdesign.common.processes import Processes, follow_parent
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.files.draft import LossyImportError
 from lensdesign.files.formats import LENS_FORMATS
 from lensdesign.stock.vendor_files import find_vendor_files, read_stock_lens, surface_tables
 
-INDEX_NAME = ".transferlens-stock.jsonl"
-"""Name of the index in the folder of the files."""
+_FORMAT = "transferlens stock index 2"
 
-_FORMAT = "transferlens stock index 1"
+KEY_BYTES = 32
+"""Length of the key of the codes."""
 
 _BATCH = 40
 """Files that a worker reads before its results are appended to the index; they take a second or less."""
@@ -46,8 +53,8 @@ class IndexedFile:
     ----------
     name
         Path relative to the folder, with forward slashes.
-    size_bytes, modified_ns
-        Size, and time of the last change in nanoseconds, when it was read.
+    sha256
+        SHA-256 of its contents in hexadecimal digits; empty if it cannot be read.
     reason
         Why the file contains no usable lens; empty if it does.
     title
@@ -57,8 +64,7 @@ class IndexedFile:
     """
 
     name: str
-    size_bytes: int
-    modified_ns: int
+    sha256: str
     reason: str = ""
     title: str = ""
     surfaces: tuple[dict[str, Any], ...] = ()
@@ -123,7 +129,7 @@ def index_stock(
         Folder with lens files of vendors (:data:`lensdesign.files.formats.LENS_FORMATS`), searched with all
         folders below it.
     index
-        File that stores the index (default: a hidden file in the folder).
+        File that stores the index (default: a file in the user's cache folder).
     glass_catalogs
         Glass catalogues (AGF) that are searched first. With other catalogues, all files are read again.
     workers
@@ -150,7 +156,7 @@ def index_stock(
     0
     """
     folder = Path(folder)
-    path = folder / INDEX_NAME if index is None else Path(index)
+    path = _default_path(folder) if index is None else Path(index)
     catalogs = tuple(Path(catalog).resolve() for catalog in glass_catalogs)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder with the lens files of vendors")
@@ -159,51 +165,67 @@ def index_stock(
         suffixes = " or ".join(LENS_FORMATS)
         raise InputError(f"{folder}: contains no {suffixes} file, nor do the folders below it")
     header = {"index": _FORMAT, "version": toolkit_version(), "catalogs": [*map(_fingerprint, catalogs)]}
-    known = _known_files(path, header)
-    now = dict(_stamps(folder, found))
-    kept = {n: known[n] for n, stamp in now.items() if n in known and _stamp(known[n]) == stamp}
+    key = _user_key()
+    known = _known_files(path, header, key)
+    now = {file.relative_to(folder).as_posix(): _digest(file) for file in found}
+    kept = {n: known[n] for n, sha256 in now.items() if sha256 and n in known and known[n].sha256 == sha256}
     missing = [name for name in now if name not in kept]
     if missing or len(kept) != len(known):
-        _write_index(path, header, kept)
+        _write_index(path, header, kept, key)
     read = dict(kept)
     try:
         for batch in _read_all(folder, missing, now, catalogs, workers):
-            _append(path, batch)
+            _append(path, batch, key)
             read |= {one.name: one for one in batch}
             progress(len(read) - len(kept), len(missing), "reading lens files")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"interrupted; {path} holds {len(read)} of {len(now)} files; repeat the command to continue"
         ) from None
-    files = [*read.values(), *(IndexedFile(name, 0, 0, reason) for name, reason in faults)]
+    files = [*read.values(), *(IndexedFile(name, "", reason) for name, reason in faults)]
     return StockIndex(folder, path, catalogs, tuple(sorted(files, key=lambda f: f.name)), len(missing))
 
 
 def _fingerprint(catalog: Path) -> list[Any]:
     """Return what identifies the contents of a catalogue."""
+    content = read_input(catalog, CATALOG_BYTES, named="glass catalogue")
+    return [str(catalog), hashlib.sha256(content).hexdigest()]
+
+
+def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file; empty for one that cannot be read, whose reading states the reason."""
     try:
-        status = catalog.stat()
-    except OSError as error:
-        raise InputError(f"cannot read glass catalogue {catalog}: {error.strerror or error}") from error
-    return [str(catalog), status.st_size, status.st_mtime_ns]
+        return hashlib.sha256(read_input(path, LENS_FILE_BYTES)).hexdigest()
+    except InputError:
+        return ""
 
 
-def _stamps(folder: Path, found: Sequence[Path]) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Yield the name, and size and time of change, of each file."""
-    for path in found:
+def _default_path(folder: Path) -> Path:
+    """Return the file in the user's cache folder that stores the index of a folder."""
+    name = hashlib.sha256(os.fsencode(os.path.realpath(folder))).hexdigest()[:32]
+    return user_cache_folder() / "stock" / f"{name}.jsonl"
+
+
+def _user_key() -> bytes:
+    """Return the key of the user's indices, which is created in the cache folder at the first time."""
+    path = user_cache_folder() / "stock" / "key"
+    for _ in range(2):
         try:
-            status = path.stat()
-            stamp = status.st_size, status.st_mtime_ns
-        except OSError:  # a link that leads nowhere, or a file that was removed; reading it states the reason
-            stamp = -1, -1
-        yield path.relative_to(folder).as_posix(), stamp
+            return path.read_bytes() or secrets.token_bytes(KEY_BYTES)
+        except OSError:
+            try:
+                path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+                handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+                with open(handle, "wb") as file:
+                    file.write(secrets.token_bytes(KEY_BYTES))
+            except FileExistsError:  # another process has just created it
+                continue
+            except OSError:
+                break
+    return secrets.token_bytes(KEY_BYTES)  # without a cache folder, the next run reads all files again
 
 
-def _stamp(file: IndexedFile) -> tuple[int, int]:
-    return file.size_bytes, file.modified_ns
-
-
-def _known_files(path: Path, header: dict[str, Any]) -> dict[str, IndexedFile]:
+def _known_files(path: Path, header: dict[str, Any], key: bytes) -> dict[str, IndexedFile]:
     """Return the files in the index by name; none if there is no index, or one with another header."""
     if not path.exists():
         return {}
@@ -213,7 +235,7 @@ def _known_files(path: Path, header: dict[str, Any]) -> dict[str, IndexedFile]:
         raise InputError(f"{path}: is no index of stock lenses; give another file as --index")
     if own != header:
         return {}
-    files = [_indexed_file(line) for line in lines]
+    files = [_indexed_file(line, key) for line in lines]
     return {file.name: file for file in files if file is not None}
 
 
@@ -225,35 +247,43 @@ def _json_object(line: str) -> dict[str, Any]:
     return row if isinstance(row, dict) else {}
 
 
-def _indexed_file(line: str) -> IndexedFile | None:
-    """Return the file of a line; None if the line is incomplete, so that the file is read again."""
+def _indexed_file(line: str, key: bytes) -> IndexedFile | None:
+    """Return the file of a line; None if the user did not write it so, and the file is to be read again."""
     row = _json_object(line)
-    try:
-        file = IndexedFile(**row | {"surfaces": tuple(row["surfaces"])})
-    except (KeyError, TypeError):
+    code = row.pop("code", None)
+    if not isinstance(code, str) or not hmac.compare_digest(code.encode(), _code(row, key).encode()):
         return None
-    texts = all(isinstance(text, str) for text in (file.name, file.reason, file.title))
-    return file if texts and all(isinstance(one, dict) for one in file.surfaces) else None
+    return IndexedFile(**row | {"surfaces": tuple(row["surfaces"])})
+
+
+def _code(row: dict[str, Any], key: bytes) -> str:
+    """Return the code by which the user's own lines are known."""
+    return hmac.new(key, json.dumps(row, sort_keys=True).encode(), hashlib.sha256).hexdigest()
+
+
+def _file_line(file: IndexedFile, key: bytes) -> str:
+    row = json.loads(json.dumps(asdict(file)))
+    return _line(row | {"code": _code(row, key)})
 
 
 def _line(content: object) -> str:
     return json.dumps(content, ensure_ascii=True) + "\n"
 
 
-def _write_index(path: Path, header: dict[str, Any], files: dict[str, IndexedFile]) -> None:
+def _write_index(path: Path, header: dict[str, Any], files: dict[str, IndexedFile], key: bytes) -> None:
     """Replace the index by one with the unchanged files alone."""
     try:
         with atomic_path(path) as temporary:
-            lines = [header, *map(asdict, files.values())]
-            temporary.write_text("".join(map(_line, lines)), encoding="utf-8")
+            lines = [_line(header), *(_file_line(one, key) for one in files.values())]
+            temporary.write_text("".join(lines), encoding="utf-8")
     except InputError as error:
         raise InputError(f"{error}; give a file in another folder as --index") from error
 
 
-def _append(path: Path, files: Sequence[IndexedFile]) -> None:
+def _append(path: Path, files: Sequence[IndexedFile], key: bytes) -> None:
     try:
         with path.open("a", encoding="utf-8") as stream:
-            stream.write("".join(_line(asdict(one)) for one in files))
+            stream.write("".join(_file_line(one, key) for one in files))
             stream.flush()
             os.fsync(stream.fileno())
     except OSError as error:
@@ -263,13 +293,13 @@ def _append(path: Path, files: Sequence[IndexedFile]) -> None:
 def _read_all(
     folder: Path,
     names: Sequence[str],
-    stamps: dict[str, tuple[int, int]],
+    digests: dict[str, str],
     catalogs: tuple[Path, ...],
     workers: int | None,
 ) -> Iterator[list[IndexedFile]]:
     """Yield the files in batches, in the order in which they are read."""
     batches = [
-        [(name, *stamps[name]) for name in names[i : i + _BATCH]] for i in range(0, len(names), _BATCH)
+        [(name, digests[name]) for name in names[i : i + _BATCH]] for i in range(0, len(names), _BATCH)
     ]
     processes = min(len(os.sched_getaffinity(0)) if workers is None else workers, len(batches))
     if processes <= 1:
@@ -277,7 +307,7 @@ def _read_all(
             yield _read_batch(folder, batch, catalogs)
         return
     with Processes(processes, follow_parent) as pool:
-        in_flight: dict[Future[list[IndexedFile]], list[tuple[str, int, int]]] = {}
+        in_flight: dict[Future[list[IndexedFile]], list[tuple[str, str]]] = {}
         waiting = iter(batches)
         try:
             while True:
@@ -298,26 +328,24 @@ def _read_all(
 
 
 def _read_batch(
-    folder: Path, batch: Sequence[tuple[str, int, int]], catalogs: tuple[Path, ...]
+    folder: Path, batch: Sequence[tuple[str, str]], catalogs: tuple[Path, ...]
 ) -> list[IndexedFile]:
     return [_read_file(folder, *one, catalogs) for one in batch]
 
 
-def _read_file(
-    folder: Path, name: str, size_bytes: int, modified_ns: int, catalogs: tuple[Path, ...]
-) -> IndexedFile:
+def _read_file(folder: Path, name: str, sha256: str, catalogs: tuple[Path, ...]) -> IndexedFile:
     """Return a file with its lens, or with the reason why it has none."""
     path = folder / name
     try:
         title, surfaces = read_stock_lens(path, catalogs)
     except LossyImportError as error:
         reason = f"a design cannot represent: {'; '.join(error.dropped)}"
-        return IndexedFile(name, size_bytes, modified_ns, reason)
+        return IndexedFile(name, sha256, reason)
     except (TransferLensError, OSError) as error:
         reason = str(error).replace(f"cannot read {path}: ", "cannot be read: ")
         reason = reason.replace(f"{path}: ", "").replace(f"{path}, ", "")
-        return IndexedFile(name, size_bytes, modified_ns, " ".join(reason.split()))
+        return IndexedFile(name, sha256, " ".join(reason.split()))
     except Exception as error:  # one file among thousands must not end the run, whatever is wrong with it
         reason = f"the reader failed: {type(error).__name__}: {error}"
-        return IndexedFile(name, size_bytes, modified_ns, " ".join(reason.split()))
-    return IndexedFile(name, size_bytes, modified_ns, "", title, tuple(surface_tables(surfaces)))
+        return IndexedFile(name, sha256, " ".join(reason.split()))
+    return IndexedFile(name, sha256, "", title, tuple(surface_tables(surfaces)))

@@ -285,11 +285,7 @@ def _different_lenses(
     found: dict[str, StockLens] = {}
     unknown: dict[str, str] = {}
     for file in files:
-        try:
-            whole = [Surface(**table) for table in file.surfaces]
-        except ValueError as error:
-            left_out[file.name] = f"the index is damaged; remove it: {error}"
-            continue
+        whole = [Surface(**table) for table in file.surfaces]
         surfaces = tuple(_clear(surface, settings.clear_fraction) for surface in whole)
         edge = max(surface.semi_diameter_mm or 0.0 for surface in whole)
         fault = next(

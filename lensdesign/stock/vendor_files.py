@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from lensdesign.common.text import printable_name
 from lensdesign.errors import InputError
 from lensdesign.files.draft import LossyImportError, Supplement
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
@@ -28,23 +29,31 @@ _NOT_OF_THE_GLASS = re.compile(
 
 
 def find_vendor_files(folder: Path) -> tuple[list[Path], list[tuple[str, str]]]:
-    """Return all lens files below a folder, and the folders that cannot be read with the reasons.
+    """Return all lens files below a folder, and what cannot be read with the reasons.
 
-    Symbolic links to folders are not followed, so that the walk ends.
+    Symbolic links to folders are not followed, so that the walk ends. Files whose names are not UTF-8 cannot
+    be named in designs and tables, so they are among the faults.
     """
+    found: list[Path] = []
     faults: list[tuple[str, str]] = []
-
-    def note(error: OSError) -> None:
-        path = Path(error.filename or folder)
-        faults.append((path.relative_to(folder).as_posix(), f"cannot read the folder: {error.strerror}"))
-
-    found = [
-        Path(parent, name)
-        for parent, _, names in os.walk(folder, onerror=note)
-        for name in names
-        if Path(name).suffix.lower() in LENS_FORMATS
-    ]
-    return sorted(found), sorted(faults)
+    waiting = [str(folder)]
+    while waiting:  # without recursion: there may be more folders in each other than Python allows calls
+        parent = waiting.pop()
+        try:
+            with os.scandir(parent) as entries:
+                for entry in entries:
+                    if entry.is_dir(follow_symlinks=False):
+                        waiting.append(entry.path)
+                    elif os.path.splitext(entry.name)[1].lower() in LENS_FORMATS:
+                        found.append(Path(entry.path))
+        except OSError as error:
+            name = Path(parent).relative_to(folder).as_posix()
+            faults.append((printable_name(name), f"cannot read the folder: {error.strerror}"))
+    named = {path: path.relative_to(folder).as_posix() for path in found}
+    readable = [path for path in found if printable_name(named[path]) == named[path]]
+    unreadable = (printable_name(named[path]) for path in found if path not in set(readable))
+    faults += [(name, "its name is not UTF-8; rename the file or its folder") for name in unreadable]
+    return sorted(readable), sorted(faults)
 
 
 def read_stock_lens(path: Path, catalogs: Sequence[Path] = ()) -> tuple[str, tuple[Surface, ...]]:

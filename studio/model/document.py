@@ -15,6 +15,7 @@ from typing import Any
 import tomli_w
 
 from lensdesign.common.atomic_files import atomic_path
+from lensdesign.common.caches import user_cache_folder
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import InputError
 from lensdesign.files.design import design_text
@@ -98,8 +99,7 @@ def _same(one: Path, other: Path) -> bool:
 
 def cache_folder() -> Path:
     """Return the private folder of the workbench in the user's cache folder; it need not exist."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(home) / "transferlens" / "studio"
+    return user_cache_folder() / "studio"
 
 
 class Autosave:

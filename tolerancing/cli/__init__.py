@@ -1,11 +1,16 @@
 """The `tolerancing` command."""
 
-from lensdesign.common.interrupts import stoppable
+from collections.abc import Callable
+
+from lensdesign.common.startup import start_program
 
 
 def main() -> None:
-    """Run the command line. An interrupt is handled from the first import on."""
-    with stoppable():
-        from tolerancing.cli.commands import main
+    """Run the console script; interrupts are handled from its first import on."""
+    start_program(_import_main)
 
-        main()
+
+def _import_main() -> Callable[[], None]:
+    from tolerancing.cli.commands import main
+
+    return main

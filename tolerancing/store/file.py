@@ -114,7 +114,7 @@ def _lock(connection: sqlite3.Connection, path: Path) -> None:
             raise InputError(
                 f"cannot replace the store {path}: another process has it open; end it first"
             ) from error
-        raise InputError(f"cannot replace the store {path}: {reason(error)}") from error
+        raise InputError(f"cannot replace the store {path}: {reason(error, path)}") from error
     except sqlite3.DatabaseError:
         return  # The file is damaged, and will be replaced.
 
@@ -150,13 +150,14 @@ def translated_errors(path: Path, action: str) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        raise InputError(f"cannot {action} the store {path}: {reason(error)}") from error
+        raise InputError(f"cannot {action} the store {path}: {reason(error, path)}") from error
 
 
-def reason(error: sqlite3.Error) -> str:
-    """Return the message of SQLite, with advice for the common errors."""
+def reason(error: sqlite3.Error, path: Path) -> str:
+    """Return the message of SQLite about a store, with advice for the common errors."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    kept = "the finished results are in the store; repeat the command to continue"
+    stored = "the finished results are in the store" if path.exists() else "nothing is stored yet"
+    kept = f"{stored}; repeat the command to continue"
     advice = {
         sqlite3.SQLITE_FULL: f"; free some disk space: {kept}",
         sqlite3.SQLITE_IOERR: f"; {kept}",

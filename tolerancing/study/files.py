@@ -16,6 +16,7 @@ from lensdesign.common.consent import trust_user_code
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.given import FilePath, object_of
 from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, validate_inside
+from lensdesign.common.text import printable_name
 from lensdesign.common.toml_files import joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError
 from lensdesign.files.design import load_design
@@ -343,6 +344,8 @@ def start_study(
     from tolerancing.perturbations.grades import starting_study
 
     name = Path(os.path.relpath(Path(design).resolve(), Path(path).resolve().parent)).as_posix()
+    if (shown := printable_name(name)) != name:
+        raise InputError(f"{shown}: its name is not UTF-8, so a study cannot state it; rename it")
     text = starting_study(load_design(design), name, grade)
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -1,11 +1,16 @@
 """The `wavesim` command."""
 
-from lensdesign.common.interrupts import stoppable
+from collections.abc import Callable
+
+from lensdesign.common.startup import start_program
 
 
 def main() -> None:
-    """Entry point of the console script: from its first import on it ends well when it is stopped."""
-    with stoppable():
-        from wavesim.cli.commands import main
+    """Run the console script; interrupts are handled from its first import on."""
+    start_program(_import_main)
 
-        main()
+
+def _import_main() -> Callable[[], None]:
+    from wavesim.cli.commands import main
+
+    return main

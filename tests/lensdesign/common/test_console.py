@@ -162,3 +162,42 @@ def test_characters_that_the_output_lacks_are_spelled_out(encoding: str) -> None
     shown = done.stdout.decode("utf-8" if encoding == "ascii" else encoding)
     assert f"{'<=' if encoding == 'cp1252' else '≤'} 4.7682°" in shown
     assert "?" not in shown
+
+
+def test_a_message_has_an_end(capsys: pytest.CaptureFixture[str]) -> None:
+    """However many lines an exception has, and however long they are."""
+    from lensdesign.common.console import MOST_CHARACTERS, fail
+
+    for message in ("x" * 100_000, "\n".join(["y" * 1000] * 500), "\n".join("z" * 10_000)):
+        with pytest.raises(SystemExit) as stop:
+            fail(message)
+        assert stop.value.code == 2
+        shown = capsys.readouterr().err
+        assert 100 < len(shown) <= MOST_CHARACTERS + 200
+        assert len(shown.splitlines()) <= 62
+
+
+def test_more_new_folders_in_each_other_than_python_can_make_are_refused(tmp_path: Path) -> None:
+    from lensdesign import InputError
+    from lensdesign.common.outputs import check_output_file, check_output_folder
+
+    deep = tmp_path.joinpath(*["a"] * 1500)
+    for check in (check_output_file, check_output_folder):
+        with pytest.raises(InputError, match="100 folders"):
+            check(deep)
+        check(tmp_path.joinpath(*["a"] * 50))
+
+
+def test_a_name_that_is_not_utf_8_is_one_message_before_the_work(tmp_path: Path) -> None:
+    """Of a command whose results state their settings, and of one that writes the name into a study."""
+    odd = tmp_path / os.fsdecode(b"caf\xe9.toml")
+    odd.write_bytes((DESIGNS / "feasible_singlet.toml").read_bytes())
+    for words in (
+        ["lensdesign", "draw", odd, "-o", tmp_path / "pictures"],
+        ["tolerancing", "start", odd, "-o", tmp_path / "study.toml"],
+    ):
+        command = [sys.executable, "-m", f"{words[0]}.cli", *words[1:]]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
+        assert "caf\\xe9.toml: its name is not UTF-8" in done.stderr
+    assert list(tmp_path.iterdir()) == [odd]

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from vendor_folder import LA1509, write_vendors, zmx_text
 
 from lensdesign import InputError, index_stock
 from lensdesign.stock import index as module
-from lensdesign.stock.index import INDEX_NAME
 
 
 @pytest.fixture
-def vendors(tmp_path: Path) -> Path:
+def vendors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     folder = tmp_path / "vendors"
     write_vendors(folder)
     return folder
@@ -57,10 +59,71 @@ def test_changed_new_and_removed_files_are_noticed(vendors: Path) -> None:
     assert "biconvex.seq" not in lenses
 
 
-def test_a_touched_file_is_read_again(vendors: Path) -> None:
-    index_stock(vendors)
-    os.utime(vendors / "biconvex.seq", ns=(1, 1))
-    assert index_stock(vendors).read_count == 1
+def test_a_touched_file_is_not_read_again_but_one_of_the_same_size_and_time_is(vendors: Path) -> None:
+    """The contents count."""
+    first = index_stock(vendors)
+    path = vendors / "plano" / "LA1509.zmx"
+    os.utime(path, ns=(1, 1))
+    assert index_stock(vendors).read_count == 0
+    content = path.read_bytes()
+    changed = content.replace(b"DISZ 3.6", b"DISZ 3.7")
+    assert len(changed) == len(content)
+    assert changed != content
+    path.write_bytes(changed)
+    os.utime(path, ns=(1, 1))
+    again = index_stock(vendors)
+    assert again.read_count == 1
+    thick = [{f.name: f for f in found.lenses}["plano/LA1509.zmx"].surfaces[0] for found in (first, again)]
+    assert [one["thickness_mm"] for one in thick] == [3.6, 3.7]
+
+
+def test_nothing_is_written_beside_the_files_of_vendors(vendors: Path, tmp_path: Path) -> None:
+    before = sorted(vendors.rglob("*"))
+    path = index_stock(vendors).path
+    assert sorted(vendors.rglob("*")) == before
+    assert path.is_relative_to(tmp_path / "cache" / "transferlens" / "stock")
+    assert (path.parent / "key").stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda row: {**row, "surfaces": []},
+        lambda row: {**row, "surfaces": [row["surfaces"][0]]},
+        lambda row: {**row, "surfaces": [{**row["surfaces"][0], "thickness_mm": 5.35}, row["surfaces"][1]]},
+        lambda row: {**row, "surfaces": [{"radius_mm": "x"}]},
+        lambda row: {**row, "surfaces": 3},
+        lambda row: {**row, "title": 3},
+        lambda row: {**row, "reason": "not for you"},
+        lambda row: {**row, "more": 1},
+        lambda row: {**row, "code": 5},
+        lambda row: {k: v for k, v in row.items() if k != "code"},
+        lambda row: [],
+    ],
+)
+def test_a_line_that_was_changed_is_read_again(vendors: Path, change: Callable[[Any], Any]) -> None:
+    first = index_stock(vendors)
+    header, *lines = first.path.read_text().splitlines()
+    rows = [json.loads(line) for line in lines]
+    changed = [change(row) if row["name"] == "plano/LA1131.zmx" else row for row in rows]
+    first.path.write_text("\n".join([header, *map(json.dumps, changed), ""]))
+    again = index_stock(vendors)
+    assert again.read_count == 1
+    assert again.files == first.files
+
+
+def test_the_index_of_another_user_is_not_believed(
+    vendors: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither one that lies in the vendor's folder, nor one that is named."""
+    foreign = vendors / ".transferlens-stock.jsonl"
+    index_stock(vendors, foreign)
+    foreign.write_text(foreign.read_text().replace('"thickness_mm": 3.6', '"thickness_mm": 9.6'))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "mine"))
+    for index in (None, foreign):
+        found = index_stock(vendors, index)
+        assert found.read_count == 9
+        assert {f.name: f for f in found.lenses}["plano/LA1509.zmx"].surfaces[0]["thickness_mm"] == 3.6
 
 
 def test_an_interrupted_run_continues(vendors: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,7 +158,7 @@ def test_a_cut_line_is_read_again(vendors: Path) -> None:
 def test_the_index_can_lie_elsewhere(vendors: Path, tmp_path: Path) -> None:
     index = index_stock(vendors, tmp_path / "own.jsonl")
     assert index.path.is_file()
-    assert not (vendors / INDEX_NAME).exists()
+    assert not (tmp_path / "cache" / "transferlens" / "stock" / index.path.name).exists()
     assert index_stock(vendors, tmp_path / "own.jsonl").read_count == 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -105,3 +106,27 @@ def test_all_lens_files_below_the_folder_are_found(tmp_path: Path) -> None:
     found, faults = find_vendor_files(tmp_path)
     assert len(found) == 9
     assert faults == []
+
+
+def test_folders_may_lie_deep_in_each_other(tmp_path: Path) -> None:
+    here = os.open(tmp_path, os.O_RDONLY)
+    try:
+        for _ in range(1500):
+            os.mkdir("a", dir_fd=here)
+            here, old = os.open("a", os.O_RDONLY, dir_fd=here), here
+            os.close(old)
+        with open(os.open("deep.zmx", os.O_CREAT | os.O_WRONLY, dir_fd=here), "w") as file:
+            file.write(zmx_text("LA1131", LA1131, 11.43))
+    finally:
+        os.close(here)
+    (found,), faults = find_vendor_files(tmp_path)
+    assert (found.name, faults) == ("deep.zmx", [])
+
+
+def test_names_that_are_not_utf_8_are_listed(tmp_path: Path) -> None:
+    (tmp_path / os.fsdecode(b"caf\xe9.zmx")).write_text(zmx_text("LA1131", LA1131, 11.43))
+    (tmp_path / "plain.zmx").write_text(zmx_text("LA1131", LA1131, 11.43))
+    found, ((name, reason),) = find_vendor_files(tmp_path)
+    assert [path.name for path in found] == ["plain.zmx"]
+    assert name == "caf\\xe9.zmx"
+    assert "UTF-8" in reason

@@ -136,6 +136,7 @@ def test_full_disk_before_anything_is_written_leaves_nothing(study, tmp_path):
     assert run.returncode == 2
     assert error.startswith("error: cannot write")
     assert "Traceback" not in error
+    assert "in the store" not in error
     assert list(folder.iterdir()) == []
 
 
