@@ -13,7 +13,7 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.calibration_problem import CalibrationProblem, search_bench
+from wavesim.calibration.calibration_problem import IGNORED_SETTINGS, CalibrationProblem, search_bench
 from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.calibration.known_object import calibrate
@@ -40,6 +40,7 @@ from wavesim.runtime.checkpoint import (
     EMPTY_CHECKPOINT,
     SOURCE_CHECKPOINT,
     STOP_CHECKPOINT,
+    STOP_TRIALS,
     Checkpoint,
 )
 from wavesim.scene.engine import Tiled
@@ -189,15 +190,14 @@ def _calibrated(
 ) -> tuple[Calibrated, CalibrationSettings]:
     """Return the bench in light of a stated source, and the settings with the field stop found."""
     problem = CalibrationProblem(lens, frames, requested, priors)
-    settings = _with_stop(problem, progress)
-    if settings is requested:
+    stop = _found_stop(problem, folder, progress)
+    if stop is None:
         start = Unknowns(lens, problem.start)
         found = _searched(problem, frames, empty, start, folder, CHECKPOINT, progress)
-        found = _with_field_stop(found, problem, requested.field_stop_from)
-    else:
-        found = _calibrated_with_stop(lens, frames, requested, settings, empty, priors, folder, progress)
-        settings = settings.with_stop(*found.field_stop)
-    return found, settings
+        return _with_field_stop(found, problem, requested.field_stop_from), requested
+    settings = requested.with_stop(*stop)
+    found = _calibrated_with_stop(lens, frames, requested, settings, empty, priors, folder, progress)
+    return found, settings.with_stop(*found.field_stop)
 
 
 def _calibrated_with_source(
@@ -314,7 +314,9 @@ def _calibrated_with_known_object(
         )
     stop_from, problem = settings.field_stop_from, CalibrationProblem(lens, frames, settings)
     if settings.field_stop == "find":
-        problem = CalibrationProblem(lens, frames, _with_stop(problem, progress))
+        stop = _found_stop(problem, None, progress)
+        assert stop is not None
+        problem = CalibrationProblem(lens, frames, settings.with_stop(*stop))
     known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
     found = _with_field_stop(_calibrate_mounting(problem, known, progress), problem, stop_from)
     return _with_stop_finding(_with_verdict_of_known_object(problem, found, known))
@@ -355,34 +357,48 @@ def _calibrated_with_stop(
     return found
 
 
-def _with_stop(problem: CalibrationProblem, progress: Progress) -> CalibrationSettings:
-    """Return settings with the field stop as found on the nominal bench, or those of the problem.
+def _found_stop(problem: CalibrationProblem, folder: Path | None, progress: Progress) -> FieldStop | None:
+    """Return the field stop as found on the nominal bench; None if it is as the settings have it.
 
-    The stop is searched if this is requested, or if nothing is stated about it and the frames show that
-    light falls only on a part of the patch beside its centre. The latter is not tested where all pixels
-    need much more time than those of the calibration.
+    The stop is searched if this is requested, or if nothing is stated about it, light falls only on a part of
+    the patch beside its centre, and first trials explain the frames better than a stop as large as the patch.
+    The latter is not tested where all pixels need much more time than those of the calibration.
     """
     settings = problem.settings
-    if settings.field_stop_from == "stated":
-        return settings
     is_requested = settings.field_stop == "find"
-    if not is_requested and isinstance(problem.pixels, SparsePixels):
-        return settings
-    search = _stop_search(problem, problem.start, progress)
-    if is_requested:
-        return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
-    if isinstance(search.engine, Tiled):
-        return settings
-    patch = problem.framed.patch
-    stop = FieldStop(patch.field_stop_mm, patch.field_stop_at_mm)
-    # A displaced lens or tilted light move the light by a few hundredths of the patch.
-    better = search.find_better_stop(stop) if search.is_displaced_from(stop) else None
-    return settings if better is None else settings.with_stop(*better)
+    if settings.field_stop_from == "stated" or (
+        not is_requested and isinstance(problem.pixels, SparsePixels)
+    ):
+        return None
+    search = _stop_search(problem, problem.start, progress, folder)
+    if not is_requested and isinstance(search.engine, Tiled):
+        return None
+    try:
+        if is_requested:
+            return search.run(settings.field_stop_mm, settings.field_stop_at_mm)
+        patch = problem.framed.patch
+        stop = FieldStop(patch.field_stop_mm, patch.field_stop_at_mm)
+        # A displaced lens or tilted light move the light by a few hundredths of the patch.
+        return search.find_better_stop(stop) if search.is_displaced_from(stop) else None
+    except KeyboardInterrupt:
+        outcome = "nothing was written"
+        if search.checkpoint is not None and search.checkpoint.kept:
+            outcome = "run the same command again to continue"
+        raise KeyboardInterrupt(f"interrupted in the search for the field stop; {outcome}") from None
 
 
-def _stop_search(problem: CalibrationProblem, state: SystemState, progress: Progress) -> StopSearch:
-    """Return the search for the field stop on a bench."""
+def _stop_search(
+    problem: CalibrationProblem, state: SystemState, progress: Progress, folder: Path | None = None
+) -> StopSearch:
+    """Return the search for the field stop on a bench; its trials are kept in a folder, if there is one."""
     settings, patch = problem.settings, problem.framed.patch
+    checkpoint = None
+    if folder is not None:
+        settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS | {"iterations", "parameters"})
+        key = key_of_frames(
+            problem.lens, problem.framed.frames, problem.framed.light, settings_json, repr(state)
+        )
+        checkpoint = Checkpoint(folder / STOP_TRIALS, key)
     modes = modes_on(placed_light(problem.framed.light, state), state.source)
     return StopSearch(
         problem.make(placed_scene(problem.scene, state)),
@@ -393,7 +409,8 @@ def _stop_search(problem: CalibrationProblem, state: SystemState, progress: Prog
         settings.scale,
         settings.fill_factor,
         modes,
-        lambda text: progress(text, 0, 0),
+        progress,
+        checkpoint,
     )
 
 
@@ -575,14 +592,18 @@ def _with_verdict(
     frames: Sequence[Frame],
     settings: CalibrationSettings,
     found: Calibrated,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Calibrated:
     """Return the result with the verdict of a reconstruction."""
     # The source is part of the calibrated state.
     names = set(FramedSettings.model_fields) - {"source_deg", "bandwidth_nm"}
     settings_given = settings.model_dump(include=names, exclude_unset=True)
     reconstruction = reconstruct_frames(
-        lens, frames, ReconstructionSettings(**settings_given), calibration=found.state, progress=progress
+        lens,
+        frames,
+        ReconstructionSettings(**settings_given),
+        calibration=found.state,
+        progress=lambda stage, completed, total: progress(f"verdict: {stage}", completed, total),
     )
     return _with_stop_finding(replace(found, verdict=reconstruction.verdict))
 

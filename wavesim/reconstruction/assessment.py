@@ -217,7 +217,7 @@ def stop_search(
         settings.scale,
         settings.fill_factor,
         case.modes,
-        progress,
+        lambda stage, completed, total: progress(stage),
     )
 
 

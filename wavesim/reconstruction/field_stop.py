@@ -29,6 +29,7 @@ from scipy.ndimage import gaussian_filter
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.object_solver import reconstruct
+from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.engine import Engine
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.settings import Kind
@@ -72,7 +73,9 @@ class StopSearch:
     patch_mm
         Side of the patch in mm, which contains the stop.
     progress
-        Called with a message for each stop that is tried.
+        Callback `progress(stage, completed, total)`, called for each stop that is tried.
+    checkpoint
+        File of the misfits that were found, from which an interrupted search continues.
     """
 
     engine: Engine
@@ -83,8 +86,16 @@ class StopSearch:
     scale: float | None = None
     fill_factor: float = 0.0
     modes: Sequence[SourceMode] = ()
-    progress: Callable[[str], None] = lambda text: None
+    progress: Callable[[str, int, int], None] = lambda stage, completed, total: None
+    checkpoint: Checkpoint | None = None
     _misfits: dict[tuple[FieldStop, int], float] = field(default_factory=dict, init=False, repr=False)
+    _requested: set[tuple[FieldStop, int]] = field(default_factory=set, init=False, repr=False)
+    _stage: _Stage = field(default_factory=lambda: _Stage(), init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        stored = None if self.checkpoint is None else self.checkpoint.load()
+        for width_mm, x_mm, y_mm, iterations, misfit in () if stored is None else stored["trials"].tolist():
+            self._misfits[FieldStop(width_mm, (x_mm, y_mm)), int(iterations)] = misfit
 
     def run(self, width_mm: float | None = None, at_mm: tuple[float, float] | None = None) -> FieldStop:
         """Return the stop that explains the frames best.
@@ -94,19 +105,11 @@ class StopSearch:
         width_mm, at_mm
             Diameter or center in mm where one of them is known; it stays fixed. Default: both are found.
         """
-        centre = self.estimated_centre if at_mm is None else at_mm
         free = np.array((at_mm is None, at_mm is None, width_mm is None))
+        stops = self._first_stops(width_mm, at_mm)
         estimated_width = self.estimated_width_mm if width_mm is None else width_mm
-        if width_mm is not None:
-            widths = [width_mm]
-        elif estimated_width is not None:
-            widths = [estimated_width * ratio for ratio in WIDTH_RATIOS]
-        else:
-            # Diameters over that of the patch of the first stops that are tried.
-            diameters = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
-            widths = [self.patch_mm * fraction for fraction in diameters]
-        stops = [self._within_patch(np.array([*centre, width])) for width in widths]
         iterations, step = FIRST_STAGE
+        self._begin("first trials", 2 * len(stops) + 1)
         best = min(stops, key=lambda stop: self.misfit(stop, iterations))
         first = self._pattern_search(best, iterations, step, free)
         if estimated_width is None or abs(first.width_mm / estimated_width - 1.0) < SPECTRAL_ERROR:
@@ -123,6 +126,21 @@ class StopSearch:
             if self.misfit(best, iterations) < far_from_noise * noise:
                 break
         return best
+
+    def _first_stops(
+        self, width_mm: float | None = None, at_mm: tuple[float, float] | None = None
+    ) -> list[FieldStop]:
+        """Return the stops that are tried first: at the estimated centre, with several diameters."""
+        centre = self.estimated_centre if at_mm is None else at_mm
+        if width_mm is not None:
+            widths = [width_mm]
+        elif self.estimated_width_mm is not None:
+            widths = [self.estimated_width_mm * ratio for ratio in WIDTH_RATIOS]
+        else:
+            # Diameters over that of the patch of the first stops that are tried.
+            diameters = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
+            widths = [self.patch_mm * fraction for fraction in diameters]
+        return [self._within_patch(np.array([*centre, width])) for width in widths]
 
     @cached_property
     def estimated_width_mm(self) -> float | None:
@@ -158,16 +176,23 @@ class StopSearch:
     def find_better_stop(self, stop: FieldStop) -> FieldStop | None:
         """Return a stop that explains the frames better than the given one, or None.
 
-        No search is made if the centroids and the spectra agree with the given stop.
+        No search is made if the centroids and the spectra agree with the given stop, or if none of the first
+        stops that a search would try explains the frames better. The light of a grey object may lie beside
+        the centre of its stop.
         """
         width_mm = self.estimated_width_mm
         has_other_width = width_mm is not None and abs(width_mm / stop.width_mm - 1.0) > SPECTRAL_ERROR
         if not (has_other_width or self.is_displaced_from(stop)):
             return None
-        current, better = self.misfit(stop, STAGES[0][0]), self.run()
+        iterations, first_stops = STAGES[0][0], self._first_stops()
+        self._begin("comparison with the stated stop", 1 + len(first_stops))
+        current = self.misfit(stop, iterations)
+        if all(self.misfit(one, iterations) >= current for one in first_stops):
+            return None
+        better = self.run()
         # Ratio of misfits below which another stop explains the frames better.
         improving_ratio = 0.95
-        return better if self.misfit(better, STAGES[0][0]) < improving_ratio * current else None
+        return better if self.misfit(better, iterations) < improving_ratio * current else None
 
     def is_displaced_from(self, stop: FieldStop) -> bool:
         """Return whether the centroids of the light contradict the position of a stop."""
@@ -212,12 +237,14 @@ class StopSearch:
 
     def misfit(self, stop: FieldStop, iterations: int) -> float:
         """Return the misfit of a short reconstruction with a stop."""
+        self._requested.add((stop, iterations))
         if (stop, iterations) in self._misfits:
             return self._misfits[stop, iterations]
-        self.progress(
-            f"field stop: {1e3 * stop.width_mm:.3g} µm at {1e3 * stop.at_mm[0]:.3g}, "
-            f"{1e3 * stop.at_mm[1]:.3g} µm"
-        )
+        stage, (x_mm, y_mm) = self._stage, stop.at_mm
+        where = f"{1e3 * stop.width_mm:.3g} µm at {1e3 * x_mm:.3g}, {1e3 * y_mm:.3g} µm"
+        total = stage.expected if stage.completed < stage.expected else 0
+        self.progress(f"field stop, {stage.name}: {where}", stage.completed, total)
+        stage.completed += 1
         found = reconstruct(
             self.engine,
             self.light_of(stop),
@@ -231,7 +258,14 @@ class StopSearch:
             residuals=False,
         )
         self._misfits[stop, iterations] = found.misfit[-1]
+        if self.checkpoint is not None:
+            trials = [(s.width_mm, *s.at_mm, count, value) for (s, count), value in self._misfits.items()]
+            self.checkpoint.keep(trials=np.array(trials))
         return found.misfit[-1]
+
+    def _begin(self, name: str, expected: int) -> None:
+        """Begin a stage of the search with an expected number of trials."""
+        self._stage.name, self._stage.completed, self._stage.expected = name, 0, expected
 
     def _within_patch(self, values: Array) -> FieldStop:
         """Return a stop within the patch: smaller and nearer to the axis where necessary."""
@@ -256,14 +290,17 @@ class StopSearch:
         # Smallest step, in samples.
         least_step = 0.3
         best, step = start, max(first * start.width_mm, 1.5 * least_step * pitch)
-        trials_before = len(self._misfits)
+        trials_before = len(self._requested)
         # Directions of steps in x, y and diameter: the whole stop, its diameter, or one side of its rim.
         directions = np.array(
             [[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0, 1], [-0.5, 0, 1], [0, 0.5, 1], [0, -0.5, 1]]
         )
         # Largest number of trials in a stage.
         most_trials = 60
-        while step >= least_step * pitch and len(self._misfits) - trials_before < most_trials:
+        halvings = 1 + max(int(math.log2(step / (least_step * pitch))), 0)
+        count = int(np.sum(~np.any(directions[:, ~free], axis=1)))
+        self._begin(f"search with {iterations} iterations", min(2 * count * halvings, most_trials))
+        while step >= least_step * pitch and len(self._requested) - trials_before < most_trials:
             previous = best
             for direction in directions[~np.any(directions[:, ~free], axis=1)]:
                 best = self._line_minimum(best, step * direction, value)
@@ -283,6 +320,15 @@ class StopSearch:
             if abs(length) > 0.1:
                 candidates.append(at(length))
         return min(candidates, key=value)
+
+
+@dataclass
+class _Stage:
+    """Name of the current stage of a search, and its completed and expected trials."""
+
+    name: str = "trials"
+    completed: int = 0
+    expected: int = 0
 
 
 class _SpectrumEnd(NamedTuple):

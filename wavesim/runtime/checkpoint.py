@@ -14,17 +14,18 @@ from lensdesign.common.array_files import read_arrays
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.errors import InputError
 
-CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT, SOURCE_CHECKPOINT = (
+CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT, SOURCE_CHECKPOINT, STOP_TRIALS = (
     "checkpoint.npz",
     "checkpoint_empty.npz",
     "checkpoint_stop.npz",
     "checkpoint_source.npz",
+    "checkpoint_stop_trials.npz",
 )
 """Names of the checkpoints of a run, of a search in frames without an object, of a search that follows a
-change of the field stop, and of the sources of light that were found.
+change of the field stop, of the sources of light that were found, and of the field stops that were tried.
 """
 
-SEARCH_CHECKPOINTS = CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT, SOURCE_CHECKPOINT
+SEARCH_CHECKPOINTS = CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT, SOURCE_CHECKPOINT, STOP_TRIALS
 """Names of all checkpoints of a calibration."""
 
 

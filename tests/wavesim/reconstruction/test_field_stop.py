@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from scipy.ndimage import gaussian_filter
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.calibration import calibrate_frames
+from wavesim.calibration.calibration_result import Calibrated
 from wavesim.fields.field import Field
+from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found_object import FoundObject
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.system_state import SystemState
@@ -102,6 +106,65 @@ def test_a_calibration_finds_the_stop_together_with_the_bench() -> None:
     assert found.state.object_shift_mm == (0.0, 0.0, 0.0)
     assert found.explained
     assert not found.stop_warning
+
+
+def grey(width: float) -> Field:
+    """A grey object that is darker towards one corner, as photographs are."""
+    patch = object_patch(LENS, PATCH_MM)
+    x, y = (at / PATCH_MM for at in (patch.grid.x_mm[None, :], patch.grid.y_mm[:, None]))
+    texture = gaussian_filter(np.random.default_rng(5).standard_normal(patch.grid.shape), 1.5)
+    values = np.clip(0.45 + 0.7 * (x + 0.6 * y) + width * texture / texture.std(), 0.02, 1.0)
+    return Field(patch.grid, values.astype(np.complex64), patch.wavelength_um)
+
+
+def calibration_of(frames: Any, **changes: Any) -> Calibrated:
+    sought = {"parameters": "decenter_x_mm", "kind": "amplitude", "iterations": 3, "most_mountings": 2}
+    sought |= {"patch_mm": PATCH_MM, "assess": False, **TILES, **changes}
+    return calibrate_frames(LENS, frames, **sought)
+
+
+def test_a_grey_object_whose_light_lies_aside_starts_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = SystemState(plane_shifts_um=((0.0, 0.0), (0.6, -0.8)))
+    frames = image(LENS, grey(0.1), state=bench, exposures=(1.0, 30.0), **TILES).frames
+    trials: list[int] = []
+
+    def counted(self: StopSearch, stop: FieldStop, iterations: int) -> float:
+        trials.append(iterations)
+        return misfit(self, stop, iterations)
+
+    misfit = StopSearch.misfit
+    monkeypatch.setattr(StopSearch, "misfit", counted)
+    assert calibration_of(frames).field_stop_from == "patch"
+    assert 0 < len(trials) < 10
+
+
+def test_an_interrupted_search_for_the_stop_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No trial is made twice, and the result is that of a search without an interrupt."""
+    tried: list[tuple[FieldStop, int]] = []
+    most = [4]
+
+    def counted(self: StopSearch, stop: FieldStop, iterations: int) -> float:
+        known = (stop, iterations) in self._misfits
+        if not known:
+            if len(tried) == most[0]:
+                raise KeyboardInterrupt
+            tried.append((stop, iterations))
+        return misfit(self, stop, iterations)
+
+    misfit = StopSearch.misfit
+    monkeypatch.setattr(StopSearch, "misfit", counted)
+    frames = image(LENS, grains(), exposures=(1.0,), pixels=84, **TILES, field_stop_mm=STOP_MM).frames
+    stop = {"field_stop": "find", "field_stop_at_mm": (0.0, 0.0), "iterations": 1, "most_mountings": 1}
+    stages: list[str] = []
+    with pytest.raises(KeyboardInterrupt, match="run the same command again"):
+        calibration_of(frames, folder=tmp_path, progress=lambda s, done, total: stages.append(s), **stop)
+    assert len(tried) == 4
+    assert all(stage.startswith("field stop, ") for stage in stages)
+    most[0] = -1
+    again = calibration_of(frames, folder=tmp_path, **stop)
+    assert len(tried) == len(set(tried)) > 4
+    tried.clear()
+    assert calibration_of(frames, **stop).field_stop == again.field_stop
 
 
 def test_nothing_is_found_where_all_is_stated() -> None:
