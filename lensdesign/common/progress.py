@@ -69,6 +69,7 @@ class ProgressCount:
         self._lines, self._bar, self._began = lines, bar, now()
         self._first: int | None = None
         self._done = 0
+        self._total: int | None = None
         self._task = None if bar is None else bar.add_task(what, total=None)
 
     def advance(self, more: int, total: int | None, what: str) -> None:
@@ -76,10 +77,17 @@ class ProgressCount:
         self.update(self._done + more, total, what)
 
     def update(self, done: int, total: int | None, what: str) -> None:
-        """Show the completed and the total number of steps, if it is known, and the name of the next one."""
-        if done < self._done:  # another stage begins, whose steps take another time
+        """Show the completed and the total number of steps, if it is known, and the name of the next one.
+
+        A stage begins where fewer steps are completed than before, or none of another total number. The
+        remaining time is that of the stage.
+        """
+        if done < self._done or (done == 0 and total != self._total):
             self._first, self._began = None, now()
-        self._done = done
+            if self._bar is not None and self._task is not None:
+                self._bar.remove_task(self._task)
+                self._task = self._bar.add_task(visible(what), total=total)
+        self._done, self._total = done, total
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, total=total, description=visible(what))
         if self._lines is not None:

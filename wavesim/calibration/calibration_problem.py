@@ -36,6 +36,7 @@ from wavesim.calibration.parameters import (
     with_priors,
 )
 from wavesim.engines.eikonal.engine import FlatTiles
+from wavesim.engines.registry import AUTO
 from wavesim.reconstruction.problem import key_of_frames, light_of_frames, patch_of_frames
 from wavesim.reconstruction.source_search import modes_on, stated_source
 from wavesim.runtime.checkpoint import Checkpoint
@@ -83,7 +84,7 @@ class CalibrationProblem:
     frames
         Frames of one or more planes.
     settings
-        Settings of the calibration.
+        Settings of the calibration. Engine "auto" means eikonal tiles here.
     priors
         Expected standard deviations by parameter, where they differ from the usual ones.
     seeks_stop
@@ -109,6 +110,8 @@ class CalibrationProblem:
         priors: Mapping[str, float] | None = None,
         seeks_stop: bool = False,
     ) -> None:
+        if settings.engine == AUTO:  # only its rays have derivatives that cost little
+            settings = settings.replaced(engine=FlatTiles.name)
         self.lens, self.settings, self.priors = lens, settings, priors or {}
         self.seeks_stop = seeks_stop
         self.framed = framed = patch_of_frames(lens, frames, settings)
@@ -245,9 +248,14 @@ def search_bench(
         tuple(p.name for p in parameters),
         None if checkpoint_path is None else Checkpoint(checkpoint_path, key),
     )
-    what = "the frames as designed" if known is None else "the frames without an object"
-    progress(what, 0, settings.most_mountings)
+    what = "bench" if known is None else "light, from the frames without an object"
+    progress(f"{what}: as designed", 0, _expected_benches(0, settings.most_mountings))
     noise = noise_misfit(problem.pixels.recorded)
+
+    def on_bench(number: int, _: Unknowns, misfit: float) -> None:
+        expected = _expected_benches(number, settings.most_mountings)
+        progress(f"{what}: {_misfit_text(misfit, noise)}", number, expected)
+
     search = JointSearch(
         problem.pixels,
         settings.kind,
@@ -256,8 +264,9 @@ def search_bench(
         settings.most_mountings,
         noise,
         known,
-        lambda number, _, misfit: progress(_misfit_text(misfit, noise), number, settings.most_mountings),
+        on_bench,
         run.save,
+        lambda stage, completed, total: progress(f"{what}: {stage}", completed, total),
     )
     try:
         with one_blas_thread():
@@ -308,6 +317,12 @@ def _check_memory(count: int, modes: int, problem: CalibrationProblem) -> None:
         )
 
 
+def _expected_benches(tried: int, most: int) -> int:
+    """Return how many benches a search will probably have tried at its end; most try 4 to 14."""
+    usual, fewest_more = 12, 2
+    return min(max(usual, tried + fewest_more), most)
+
+
 def _misfit_text(misfit: float, noise: float | None) -> str:
     return f"misfit {misfit:.4f}" if noise is None else f"misfit {misfit / noise:.2f} times the noise"
 
@@ -336,7 +351,8 @@ class _SearchRecord:
         rows = zip(saved["values"].tolist(), saved["misfits"].tolist(), strict=True)
         trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
         current = self._start.changed(self.names, saved["here"].tolist())
-        return SearchState(current, int(saved["stage"]), float(saved["stretch"]), trail)
+        numbers = int(saved["stage"]), float(saved["stretch"])
+        return SearchState(current, *numbers, trail, int(saved.get("iterations", 0)))
 
     def save(self, state: SearchState) -> None:
         """Save the state after a step."""
@@ -349,4 +365,5 @@ class _SearchRecord:
             misfits=[misfit for _, misfit in state.trail],
             stage=state.stage,
             stretch=state.stretch,
+            iterations=state.iterations,
         )

@@ -1020,7 +1020,12 @@ class CalibrationSettings(FramedSettings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
 
-    engine: str = Field("eikonal", description="Engine, or auto: the cheapest that meets the error limit.")
+    engine: str = Field(
+        "auto",
+        description="Engine, or auto: eikonal for the search, and the cheapest that meets the error limit "
+        "for the verdict.",
+        json_schema_extra={"metavar": "[auto|eikonal|slices|wpm|thin-lens|no-lens]"},
+    )
     iterations: int = Field(5, ge=1, description="Iterations of each reconstruction within the search.")
     most_mountings: int = Field(
         80,

@@ -45,3 +45,23 @@ def test_texts_are_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
             wait()  # type: ignore[operator]
 
     assert lines_of(monkeypatch, capsys, show)[-1].endswith("s: start 2")
+
+
+def test_the_remaining_time_is_that_of_the_stage(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A stage that ended early is followed by one whose steps take ten times as long."""
+    clock = [0.0]
+    monkeypatch.setattr(progress, "now", lambda: clock[0])
+
+    def show(wait: object) -> None:
+        with progress_count("starting") as count:
+            steps = [(0, 12, 1.0), (1, 12, 1.0), (2, 12, 5.0), (0, None, 5.0), (0, 20, 10.0), (1, 20, 10.0)]
+            for done, total, seconds in steps:
+                count.update(done, total, "stage")
+                clock[0] += seconds
+            count.update(2, 20, "standard deviations")
+            wait()  # type: ignore[operator]
+
+    last = lines_of(monkeypatch, capsys, show)[-1]
+    assert "2 of 20, about 180 s more; standard deviations" in last

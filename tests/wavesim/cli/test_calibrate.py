@@ -76,6 +76,31 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     assert "--calibration" in err
 
 
+@pytest.mark.usefixtures("quick_verdicts")
+def test_its_figures_are_those_of_a_reconstruction_with_it(
+    wavesim: Command, data: Path, tmp_path: Path
+) -> None:
+    """Of both commands with the same options, and of a calibration within a reconstruction."""
+    given = (*frames_and_design(data)[:-2], "--kind", "amplitude")  # the error is not stated
+    sought = "--parameters", "decenter_x_mm,tilt_y_deg", "--iterations", 3, "--max-mountings", 3
+    _, out, err = wavesim("calibrate", *given, *sought, "-o", tmp_path, "--json")
+    calibrated = json.loads(out)
+    _, out, err = wavesim(
+        "reconstruct",
+        *given,
+        "--calibration",
+        tmp_path / "calibration.json",
+        "-o",
+        tmp_path / "out",
+        "--json",
+    )
+    assert out, err
+    reconstructed = json.loads(out)["verdict"]
+    for name in ("over_noise", "held_out_over_noise", "explained"):
+        assert calibrated["verdict"][name] == reconstructed[name]
+    assert calibrated["over_noise"] == reconstructed["over_noise"]
+
+
 def test_an_interrupted_search_goes_on(
     wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
 ) -> None:

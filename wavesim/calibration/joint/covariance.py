@@ -17,7 +17,7 @@ heteroskedasticity", Econometrica 48, 817 (1980).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -56,6 +56,7 @@ def covariance_of_estimates(
     recorded: Sequence[Measurement],
     *,
     object_is_free: bool,
+    progress: Callable[[int, int], None] = lambda completed, total: None,
 ) -> Array:
     """Return the covariance of the estimates, with the prior included.
 
@@ -69,13 +70,15 @@ def covariance_of_estimates(
         Measured amplitudes of each plane.
     object_is_free
         Whether the object is estimated together with the parameters.
+    progress
+        Callback `progress(completed, total)` of the iterations; they may end early.
 
     Returns
     -------
     ndarray, shape (parameters, parameters)
         Covariance in the units of the parameters.
     """
-    effects = equations.reduced_columns(ELIMINATION_ITERATIONS if object_is_free else 0)
+    effects = equations.reduced_columns(ELIMINATION_ITERATIONS if object_is_free else 0, progress)
     prior, curvature = np.diag(equations.prior_precision), np.asarray(effects @ effects.T, float)
     inverse = np.linalg.inv(curvature + prior)
     linear = equations.linear

@@ -9,7 +9,7 @@ unit circle.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -155,7 +155,9 @@ class GaussNewtonStep:
             bench_direction = bench_next + energy / previous_energy * bench_direction
         return solution
 
-    def reduced_columns(self, most_iterations: int) -> RealArray:
+    def reduced_columns(
+        self, most_iterations: int, progress: Callable[[int, int], None] = lambda completed, total: None
+    ) -> RealArray:
         """Return the effects of the parameters with the object eliminated, shape (parameters, pixels).
 
         The object may change with the parameters, so a parameter is determined only by the part of its effect
@@ -173,6 +175,8 @@ class GaussNewtonStep:
         most_iterations
             Largest number of iterations. Each of them applies the forward and the adjoint operator once per
             combination. With 0 iterations the object stays fixed.
+        progress
+            Callback `progress(completed, total)` of the iterations; they may end early.
 
         References
         ----------
@@ -182,7 +186,8 @@ class GaussNewtonStep:
         remaining, shape = self.columns.copy(), self.linear.residual.shape
         previous: RealArray | None = None
         precisions: list[Array] = []
-        for _ in range(most_iterations):
+        for iteration in range(most_iterations):
+            progress(iteration, most_iterations)
             precisions.append(self._precision(remaining))
             if len(precisions) > LOSS_ITERATIONS:
                 followed = _still_losing(precisions[-1 - LOSS_ITERATIONS], precisions[-1])

@@ -58,6 +58,14 @@ CONVERGED_ITERATIONS, ESTIMATE_ITERATIONS = 80, 30
 
 Progress = Callable[[int, Unknowns, float], None]
 
+MOST_ITERATIONS, UNSETTLED_GAIN = 40, 0.1
+"""Iterations of a reconstruction up to which they are doubled where the misfit of the object has not settled,
+and the fraction of the squared misfit by which as many iterations again then reduce it.
+"""
+
+NEAR_NOISE = 1.5
+"""Misfit over that of noise below which it is near the noise."""
+
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
@@ -73,12 +81,15 @@ class SearchState:
         Multiple of the last step that was best.
     trail : tuple of (Unknowns, float)
         Benches that were tried, and their misfits.
+    iterations : int
+        Iterations of each reconstruction; 0: as many as the search began with.
     """
 
     unknowns: Unknowns
     stage: int = 0
     stretch: float = FIRST_STRETCH[0]
     trail: tuple[tuple[Unknowns, float], ...] = ()
+    iterations: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +174,8 @@ class JointSearch:
     parameters : tuple of Parameter
         Parameters that are sought.
     iterations : int
-        Iterations of each reconstruction.
+        Iterations of each reconstruction at first. They are doubled, up to `MOST_ITERATIONS`, where the
+        misfit of the object has not settled on the bench found.
     most_benches : int
         Largest number of benches that are tried.
     noise_misfit : float or None
@@ -174,6 +186,9 @@ class JointSearch:
         Callback `progress(count, unknowns, misfit)`, called for each bench.
     keep
         Callback `keep(state)`, called after each step.
+    on_stage
+        Callback `on_stage(stage, completed, total)` for the stages that follow the search; the total is 0
+        where it is unknown.
     """
 
     pixels: CalibrationPixels
@@ -185,6 +200,7 @@ class JointSearch:
     known: NDArray[Any] | None = None
     progress: Progress | None = None
     keep: Callable[[SearchState], None] | None = None
+    on_stage: Callable[[str, int, int], None] = lambda stage, completed, total: None
 
     def run(self, state: SearchState) -> FitResult:
         """Search from a state and return the result.
@@ -194,6 +210,8 @@ class JointSearch:
         TransferLensError
             If the model raises it at the start. Later benches at which it raises are avoided.
         """
+        if state.iterations > self.iterations:  # of a search that was interrupted
+            return replace(self, iterations=state.iterations).run(state)
         current = self._fit_bench(state.unknowns)
         state = self._with_trial(state, current.unknowns, current.misfit)
         reference = self._reference_tiles(current)
@@ -216,6 +234,9 @@ class JointSearch:
             verified = self._verified(stage_end.current)
         current, state, reason = stage_end.current, stage_end.state, stage_end.reason
         del stage_end  # its columns are large
+        if self._is_unsettled(current, verified) and len(state.trail) < self.most_benches:
+            iterations = min(2 * self.iterations, MOST_ITERATIONS)
+            return self.run(replace(state, iterations=iterations, stretch=FIRST_STRETCH[1]))
         return self._estimated(state, current, verified, reference.ray_derivatives, reason)
 
     def _estimated(
@@ -228,12 +249,14 @@ class JointSearch:
     ) -> FitResult:
         """Return the estimates about the final object, and the bench with the parameters that are needed."""
         names = [p.name for p in self.parameters]
+        self.on_stage("object on the bench found", 0, 0)
         best = self._converged_fit(current.unknowns, verified.transmission)
         # Number of times that estimates are made, each about the object on the bench of the one before.
         refinements = 2
         # Ratio of misfits up to which a bench with fewer parameters, or a refined one, counts as equal.
         tolerated_ratio = 1.02
         for count in range(refinements):
+            self.on_stage("estimates", count, refinements)
             equations, estimates = self._estimate(best, ray_derivatives)
             if count == refinements - 1:
                 break
@@ -244,7 +267,11 @@ class JointSearch:
                 break
             best = refined
         covariance = covariance_of_estimates(
-            equations, self.parameters, self.pixels.recorded, object_is_free=self.known is None
+            equations,
+            self.parameters,
+            self.pixels.recorded,
+            object_is_free=self.known is None,
+            progress=lambda done, total: self.on_stage("standard deviations", done, total),
         )
         best, needed = self._with_fewer(best, estimates, covariance, tolerated_ratio)
         return FitResult(best.unknowns, estimates, needed, covariance, best.misfit, state.trail, reason)
@@ -274,11 +301,16 @@ class JointSearch:
 
         # The nominal bench comes first: small errors in stiff directions make a linear model ask for more.
         not_needed = count_not_needed(selections, covariance, self._pixel_count)
+        most_fits, fits = 2 + (0 if is_explained else not_needed.bit_length()), 0
         for count in (len(names), not_needed):
+            self.on_stage("parameters that the frames need", fits, most_fits)
+            fits += 1
             if (fewer := fit(count)) is not None:
                 return fewer, selections[count].needed
         kept, without = best, 0
         while not is_explained and not_needed - without > 1:
+            self.on_stage("parameters that the frames need", fits, most_fits)
+            fits += 1
             count = (without + not_needed) // 2
             if (fewer := fit(count)) is None:
                 not_needed = count
@@ -333,6 +365,15 @@ class JointSearch:
         adapted_after = 1
         own_misfit = verified.curve[min(adapted_after, len(verified.curve) - 1)]
         return own_misfit**2 > (1.0 + MODEL_FRACTION) * current.misfit**2
+
+    def _is_unsettled(self, current: _BenchFit, verified: _BenchFit) -> bool:
+        """Return whether the object on the bench found needs more iterations, as grey objects do.
+
+        Its misfit then is that of the object, not of the bench, and hides what the frames tell of the bench.
+        """
+        if self.known is not None or self.iterations >= MOST_ITERATIONS or self._is_near_noise(current):
+            return False
+        return verified.misfit**2 < (1.0 - UNSETTLED_GAIN) * current.misfit**2
 
     def _reference_tiles(self, current: _BenchFit) -> _ReferenceTiles:
         return _ReferenceTiles(
@@ -394,9 +435,7 @@ class JointSearch:
 
     def _is_near_noise(self, current: _BenchFit) -> bool:
         """Return whether the misfit is near enough to the noise to seek all parameters."""
-        # Misfit over that of noise below which the first stage ends.
-        near_noise_ratio = 1.5
-        return self.noise_misfit is not None and current.misfit < near_noise_ratio * self.noise_misfit
+        return self.noise_misfit is not None and current.misfit < NEAR_NOISE * self.noise_misfit
 
     def _search_along_step(
         self,
