@@ -143,13 +143,18 @@ class CalibrationProblem:
         return self._engines[key]
 
     @property
-    def undetermined(self) -> tuple[str, ...]:
+    def absorbed(self) -> tuple[Parameter, ...]:
         """Parameters of the light that a complex object can imitate; none for an amplitude object."""
         if self.settings.kind == "amplitude":
             return ()
         names_sought = {p.name for p in self.parameters()}
         light = self.parameters("all", light_order=LIGHT_ORDER)
-        return tuple(p.name for p in light if p.group == "light" and p.name not in names_sought)
+        return tuple(p for p in light if p.group == "light" and p.name not in names_sought)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the parameters of the light that a complex object can imitate."""
+        return tuple(p.name for p in self.absorbed)
 
     def parameters(self, text: str | None = None, light_order: int | None = None) -> tuple[Parameter, ...]:
         """Return the requested parameters with their priors.
@@ -204,6 +209,7 @@ def search_bench(
     checkpoint_path: Path | None,
     progress: Progress,
     known: NDArray[Any] | None = None,
+    absorbed: tuple[Parameter, ...] | None = None,
 ) -> Calibrated:
     """Search for the parameters of a bench, with a known object or together with the object.
 
@@ -221,6 +227,9 @@ def search_bench(
         Callback `progress(stage, completed, total)`.
     known
         Transmission of the object where it is known.
+    absorbed
+        Parameters of the light that are not sought, with their standard deviations, which a complex object
+        takes over; default: those of the problem, with the expected ones.
 
     Raises
     ------
@@ -267,6 +276,7 @@ def search_bench(
         on_bench,
         run.save,
         lambda stage, completed, total: progress(f"{what}: {stage}", completed, total),
+        problem.absorbed if absorbed is None else absorbed,
     )
     try:
         with one_blas_thread():
@@ -295,6 +305,7 @@ def search_bench(
         nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
         undetermined=problem.undetermined if known is None else (),
         applied=dict(zip(run.names, found.unknowns.of(run.names).tolist(), strict=True)),
+        object_uncertainty=found.object_uncertainty,
     )
 
 

@@ -20,8 +20,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.mounting_parameters import STOP_SHIFTS
+from wavesim.calibration.object_uncertainty import ObjectUncertainty
 from wavesim.calibration.parameters import VIBRATION, Unknowns, all_names, background_orders
-from wavesim.metrics.goodness_of_fit import GoodnessOfFit
+from wavesim.metrics.goodness_of_fit import BenchUncertainty, GoodnessOfFit
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.state_files import STATE, state_of_file, state_table
@@ -81,6 +82,8 @@ class Calibrated:
     source_deviations : mapping
         Standard deviations of the widths of the light's source that were found, by name, on this bench. The
         source is part of the state.
+    object_uncertainty : ObjectUncertainty or None
+        Errors of the object that the covariance allows; None for a known object.
 
     Examples
     --------
@@ -118,6 +121,7 @@ class Calibrated:
     field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
     field_stop_from: StopOrigin = "patch"
     source_deviations: Mapping[str, float] = field(default_factory=dict)
+    object_uncertainty: ObjectUncertainty | None = None
 
     @property
     def poorly_determined(self) -> tuple[str, ...]:
@@ -220,6 +224,9 @@ class Calibrated:
             "field_stop_from": self.field_stop_from,
             "field_stop_doubt": self.stop_warning,
             "source_deviations": dict(self.source_deviations),
+            "object_uncertainty": None
+            if self.object_uncertainty is None
+            else vars(self.object_uncertainty.summary),
         }
 
     def __repr__(self) -> str:
@@ -283,6 +290,33 @@ def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, flo
         )
     warning = str(table.get("field_stop_doubt") or "")
     return float(numbers[0]), (float(numbers[1]), float(numbers[2])), warning
+
+
+class _BenchUncertainty(FrozenModel):
+    """What the uncertainty of a bench leaves of the object, in calibration files."""
+
+    correlation: Finite
+    correlation_without_low_orders: Finite
+    phase_waves: dict[str, Finite]
+
+
+def bench_uncertainty_of(path: str | os.PathLike[str]) -> BenchUncertainty | None:
+    """Return what the uncertainty of a calibrated bench leaves of its object; None if a file does not say.
+
+    Parameters
+    ----------
+    path
+        File calibration.json.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or the values are invalid.
+    """
+    table = read_json(path).get("object_uncertainty")
+    if table is None:
+        return None
+    return BenchUncertainty(**validate(_BenchUncertainty, table, Path(path)).model_dump())
 
 
 class _Mounting(FrozenModel):

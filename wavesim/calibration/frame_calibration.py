@@ -18,7 +18,7 @@ from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.mounting_parameters import RIGID, STOP_SHIFTS, parameter_names, validate_parameters
-from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
+from wavesim.calibration.parameters import LIGHT_ORDER, LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import LinearModel
@@ -452,7 +452,11 @@ def _searched(
     if not remaining:
         return measured
     start = start.changed(measured.parameters, list((measured.applied or {}).values()))
-    return _with_light(measured, search_bench(problem, remaining, start, checkpoint_path, progress))
+    deviations = dict(zip(measured.parameters, measured.deviations or (), strict=True))
+    light = problem.parameters("light", light_order=LIGHT_ORDER)
+    absorbed = tuple(replace(p, typical=deviations[p.name]) for p in light if p.name in deviations)
+    found = search_bench(problem, remaining, start, checkpoint_path, progress, absorbed=absorbed)
+    return _with_light(measured, found)
 
 
 def calibrate_empty(
@@ -605,7 +609,10 @@ def _with_verdict(
         calibration=found.state,
         progress=lambda stage, completed, total: progress(f"verdict: {stage}", completed, total),
     )
-    return _with_stop_finding(replace(found, verdict=reconstruction.verdict))
+    verdict_of_object = reconstruction.verdict
+    if found.object_uncertainty is not None:
+        verdict_of_object = replace(verdict_of_object, bench=found.object_uncertainty.summary)
+    return _with_stop_finding(replace(found, verdict=verdict_of_object))
 
 
 def _with_stop_finding(found: Calibrated) -> Calibrated:

@@ -18,7 +18,13 @@ from lensdesign.common.options import Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.bench_files import read_bench_state, read_empty, read_priors, with_calibrated_stop
+from wavesim.cli.bench_files import (
+    read_bench_state,
+    read_bench_uncertainty,
+    read_empty,
+    read_priors,
+    with_calibrated_stop,
+)
 from wavesim.cli.free_space import in_free_space
 from wavesim.cli.layers import in_layers
 from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings
@@ -156,6 +162,7 @@ def reconstruct(
         lens = load_design(design)
         state = read_bench_state(calibration, lens)
         stop_from, stop_doubt, settings = with_calibrated_stop(calibration, settings)
+        bench = read_bench_uncertainty(calibration, settings)
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / subfolder
@@ -166,6 +173,8 @@ def reconstruct(
             if free.calibrate and calibrated.field_stop_from == "frames":
                 settings = settings.with_stop(*calibrated.field_stop)
                 stop_from, stop_doubt = "frames", calibrated.stop_warning
+            if free.calibrate and calibrated.object_uncertainty is not None:
+                bench = calibrated.object_uncertainty.summary
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
             state = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
@@ -181,6 +190,7 @@ def reconstruct(
             summaries.append(summary)
 
         def summarize(found: FoundObject) -> dict[str, Any]:
+            found = replace(found, verdict=replace(found.verdict, bench=bench))
             if stop_doubt:
                 doubt = Finding(STOP_CAUSE, stop_doubt)
                 found = replace(found, verdict=with_finding(found.verdict, doubt))
@@ -414,6 +424,11 @@ def _summary_lines(summary: dict[str, Any]) -> list[str]:
             f"oversampling {summary['oversampling']['ratio']:.3g}: pixels with more light than noise for "
             f"each unknown of the {summary['kind']} object"
         )
+    if not summary["scale_is_determined"]:
+        lines.append(
+            "the frames do not determine the scale: the transmission is known up to a factor; give --scale, "
+            "the recorded amplitude where it is 1"
+        )
     if "engine_replaced" in summary:
         lines.append(summary["engine_replaced"]["words"])
     source = Source(summary.get("source_deg", 0.0), summary.get("bandwidth_nm", 0.0))
@@ -432,6 +447,11 @@ def _summary_lines(summary: dict[str, Any]) -> list[str]:
             f"compared with the true object, band-limited by the lens: correlation "
             f"{shown['object_correlation']}, PSNR {shown['psnr_db']} dB, SSIM {shown['ssim']}"
         )
+        if "correlation_without_low_orders" in shown:
+            lines.append(
+                "times the polynomial of second order that fits best (ramp and curvature of its phase): "
+                f"correlation {shown['correlation_without_low_orders']}"
+            )
         lines += _displacement(summary["truth"], summary["object_pitch_um"])
     if summary["usaf"]:
         lines += _resolved(summary["usaf"])

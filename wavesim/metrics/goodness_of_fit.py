@@ -11,7 +11,7 @@ frames clearly prefer another bench, or if the data do not determine the object.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -90,6 +90,37 @@ class Undetected:
 
 
 @dataclass(frozen=True)
+class BenchUncertainty:
+    """Correlations with the true object that the uncertainty of a calibrated bench leaves.
+
+    Attributes
+    ----------
+    correlation : float
+        Correlation that 99 % of all benches within the uncertainty reach.
+    correlation_without_low_orders : float
+        The same after the low orders of the object are fitted.
+    phase_waves : mapping
+        Standard deviation in waves of each low order of the phase of a complex or phase object, by name;
+        empty for an amplitude object.
+    """
+
+    correlation: float
+    correlation_without_low_orders: float
+    phase_waves: Mapping[str, float]
+
+    @property
+    def words(self) -> str:
+        """The low orders that are not determined, in words; empty where all are."""
+        # Standard deviation in waves from which an order counts as not determined.
+        least_waves = 0.01
+        open_orders = {name: size for name, size in self.phase_waves.items() if size >= least_waves}
+        if not open_orders:
+            return ""
+        parts = ", ".join(f"{name} ±{size:.2g}" for name, size in open_orders.items())
+        return f"low orders of the object's phase, which light and mounting change alike (waves): {parts}"
+
+
+@dataclass(frozen=True)
 class PlaneFit:
     """Goodness of fit of one plane.
 
@@ -163,6 +194,11 @@ class GoodnessOfFit:
         Relative error of amplitudes that was allowed for engine and pixel model.
     judged : bool
         False if only the residuals are known, because the run ended before the tests of the result.
+    noise_correlation : float or None
+        Correlation with the true object that noise and errors of the model leave at least (95 %), from pixels
+        that were held out; None if it was not computed.
+    bench : BenchUncertainty or None
+        What the uncertainty of a calibrated bench leaves; None without a calibration.
     """
 
     explained: bool
@@ -180,6 +216,31 @@ class GoodnessOfFit:
     undetected: tuple[Undetected, ...] = ()
     model_error: float = MODEL_ERROR
     judged: bool = True
+    noise_correlation: float | None = None
+    bench: BenchUncertainty | None = None
+
+    @property
+    def least_correlation(self) -> float | None:
+        """Correlation with the true object that is reached at least (95 %), with errors of noise and bench.
+
+        Errors of a bench that was calibrated have its covariance. Otherwise they are the worst of those that
+        the frames cannot exclude.
+        """
+        return self._least(None if self.bench is None else self.bench.correlation)
+
+    @property
+    def least_correlation_without_low_orders(self) -> float | None:
+        """The same after the low orders of the object are fitted; None without a calibration."""
+        if self.bench is None:
+            return None
+        return self._least(self.bench.correlation_without_low_orders)
+
+    def _least(self, of_bench: float | None) -> float | None:
+        if self.noise_correlation is None:
+            return None
+        if of_bench is None:
+            of_bench = min((one.correlation for one in self.undetected), default=1.0)
+        return self.noise_correlation * of_bench
 
     @property
     def words(self) -> str:
@@ -216,13 +277,17 @@ class GoodnessOfFit:
 
     @property
     def _not_excluded(self) -> str:
-        if not self.undetected:
-            return ""
-        worst = min(one.correlation for one in self.undetected)
-        parts = ", ".join(_in_words(one) for one in self.undetected)
-        return (
-            f". Not excluded, each alone: {parts}; they would lower the correlation to {worst:.3f} at worst"
-        )
+        words = ""
+        if self.undetected:
+            words = f". Not excluded, each alone: {', '.join(map(_in_words, self.undetected))}"
+        least, without = self.least_correlation, self.least_correlation_without_low_orders
+        open_orders = "" if self.bench is None else self.bench.words
+        if open_orders:
+            words += f". Not determined: {open_orders}"
+        if least is None:
+            return words
+        words += f". With the noise, the correlation with the true object is {least:.3f} or more (95 %)"
+        return f"{words}, and {without:.3f} or more without these orders" if open_orders else words
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; `told` is the key of evidence and explanations in files."""
@@ -239,6 +304,9 @@ class GoodnessOfFit:
             ],
             "noise": None if self.noise is None else self.noise._asdict(),
             "undetected": [vars(one) for one in self.undetected],
+            "bench": None if self.bench is None else vars(self.bench) | {"words": self.bench.words},
+            "least_correlation": self.least_correlation,
+            "least_correlation_without_low_orders": self.least_correlation_without_low_orders,
             "words": self.words,
         }
 
@@ -294,6 +362,7 @@ def verdict(
     undetected: Sequence[Undetected] = (),
     calibrated: bool = False,
     rounding: float = 0.0,
+    noise_correlation: float | None = None,
 ) -> GoodnessOfFit:
     """Judge a result by its residuals on the planes.
 
@@ -317,6 +386,8 @@ def verdict(
         Whether the bench was calibrated before, so that a calibration is not advised.
     rounding
         Largest fraction of a dark pixel's variance that is due to rounding to counts.
+    noise_correlation
+        Least correlation with the true object that noise and errors of the model leave.
     """
     judged = plane_verdicts(planes, model_error)
     excess = [plane.excess for plane in judged]
@@ -350,6 +421,7 @@ def verdict(
         noise,
         tuple(undetected),
         model_error,
+        noise_correlation=noise_correlation,
     )
 
 

@@ -14,6 +14,7 @@ from wavesim.fields.field import Field
 from wavesim.metrics.charts import chart_resolution
 from wavesim.metrics.contrast import object_correlation
 from wavesim.metrics.displacement import displaced_back, displacement_samples, inside_both
+from wavesim.metrics.low_orders import with_low_orders_of
 from wavesim.metrics.similarity import psnr_db, ssim
 from wavesim.metrics.transmitted_band import transmitted_directions, transmitted_part
 from wavesim.runtime.scratch import Scratch
@@ -30,6 +31,8 @@ def truth_metrics(
     inside: NDArray[np.bool_],
     scene: Scene,
     scratch: Scratch,
+    *,
+    low_orders: bool = False,
 ) -> dict[str, float | None]:
     """Return correlation, PSNR and SSIM with the true object, both as the lens transmits them.
 
@@ -51,6 +54,10 @@ def truth_metrics(
         The scene with the actual lens, whose rays determine what it transmits.
     scratch
         Storage of the fields that the lens transmits.
+    low_orders
+        Whether the correlation without low orders is stated, too (`correlation_without_low_orders`):
+        that with the true object times the polynomial of second order that fits best. Frames of a complex or
+        phase object do not determine ramp and curvature of its phase if light and mounting are uncertain.
 
     Returns
     -------
@@ -88,7 +95,14 @@ def truth_metrics(
     energy = _product(one.values, one.values, inside).real
     factor = _product(one.values, other.values, inside) / energy if energy > 0.0 else 0.0
     pair = _moduli(one.values, abs(factor)), _moduli(other.values)
-    del one, other
+    del other
+    if low_orders:
+        fitted = passed(with_low_orders_of(true, found, inside))
+        metrics["correlation_without_low_orders"] = object_correlation(
+            one, fitted, passed(np.float32(1.0)), inside
+        )
+        del fitted
+    del one
     brightest = float(pair[1].max(where=inside, initial=0.0))
     metrics |= {
         "psnr_db": psnr_db(*pair, full_scale=brightest, support=inside),

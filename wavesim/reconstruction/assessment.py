@@ -26,8 +26,9 @@ from wavesim.metrics.goodness_of_fit import (
     plane_verdicts,
     verdict,
 )
+from wavesim.metrics.low_orders import smooth_phase_waves
+from wavesim.metrics.object_error import correlation_with_error, held_out_error, object_strength
 from wavesim.metrics.plane_residuals import PlaneResidual
-from wavesim.reconstruction.diagnostics.bench_estimates import smooth_phase_waves
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.reconstruction.diagnostics.held_out import is_given, residual_maps_of
 from wavesim.reconstruction.diagnostics.orientation import orientation_findings
@@ -116,6 +117,8 @@ def judge_result(
     given, maps = [plane for plane, _ in known], [error for _, error in known]
     findings = orientation_findings(given, maps)
 
+    noise_correlation = _noise_correlation(case, found, residuals)
+
     def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> GoodnessOfFit:
         return verdict(
             residuals,
@@ -127,6 +130,7 @@ def judge_result(
             undetected=undetected,
             calibrated=case.calibrated,
             rounding=case.rounding,
+            noise_correlation=noise_correlation,
         )
 
     first = judged()
@@ -175,6 +179,16 @@ def judge_result(
                 stop=FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
             ).trials()
     return judged(trials, undetected)
+
+
+def _noise_correlation(
+    case: ReconstructionProblem, found: MethodResult, residuals: Sequence[PlaneResidual]
+) -> float | None:
+    """Return the least correlation with the true object that noise leaves; None for a part of the object."""
+    error = None if found.whole is None else held_out_error(residuals)
+    if error is None or found.whole is None:
+        return None
+    return correlation_with_error(error, object_strength(found.whole, case.light))
 
 
 def _score_test(

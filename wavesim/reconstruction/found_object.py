@@ -130,6 +130,15 @@ class FoundObject:
             wavelength_um=self.patch.wavelength_um,
         )
 
+    @property
+    def scale_is_determined(self) -> bool:
+        """False if frames determine the transmission only up to a factor.
+
+        A stated scale determines it, and so does the modulus of 1 of a phase object.
+        """
+        settings = self.settings
+        return settings.scale is not None or (settings.method == "object" and settings.kind == "phase")
+
     def as_dict(self) -> dict[str, Any]:
         """Return the quality of the result for JSON: planes, focus, true object and charts."""
         settings, pitch_mm = self.settings, self.patch.grid.pitch_mm
@@ -139,6 +148,7 @@ class FoundObject:
             "start": settings.first,
             "iterations": len(self.curve),
             **self.of_method,
+            "scale_is_determined": self.scale_is_determined,
             "planes": [
                 {
                     "plane_distance_mm": plane_frames.distance_mm,

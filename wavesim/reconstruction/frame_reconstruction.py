@@ -315,7 +315,10 @@ def _found_object(
         reporter.step("comparison with the true object")
         true, light = (cut_field(field, case.shown_grid) for field in (case.truth, case.light))
         scene = case.engine.scene
-        truth = truth_metrics(transmission, true, light, case.inside, scene, case.scratch)
+        has_phase = settings.method == "object" and settings.kind != "amplitude" and found.whole is not None
+        truth = truth_metrics(
+            transmission, true, light, case.inside, scene, case.scratch, low_orders=has_phase
+        )
     return FoundObject(
         settings=settings,
         patch=case.patch,

@@ -96,7 +96,7 @@ def test_its_figures_are_those_of_a_reconstruction_with_it(
     )
     assert out, err
     reconstructed = json.loads(out)["verdict"]
-    for name in ("over_noise", "held_out_over_noise", "explained"):
+    for name in ("over_noise", "held_out_over_noise", "explained", "least_correlation", "bench"):
         assert calibrated["verdict"][name] == reconstructed[name]
     assert calibrated["over_noise"] == reconstructed["over_noise"]
 

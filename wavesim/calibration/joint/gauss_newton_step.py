@@ -93,10 +93,11 @@ class GaussNewtonStep:
         self.free_samples = free_samples(linear, transmission, descent) & object_is_free
         self.object_descent = descent * self.free_samples
         self.columns = columns.reshape(len(columns), -1)
-        if compensations:
+        self.compensations = {index: change * self.free_samples for index, change in compensations.items()}
+        if self.compensations:
             self.columns = self.columns.copy()
-        for index, change in compensations.items():
-            self.columns[index] += linear.jacobian_times_object(change * self.free_samples).ravel()
+        for index, change in self.compensations.items():
+            self.columns[index] += linear.jacobian_times_object(change).ravel()
         self.variance, self.prior_precision = variance, variance / typical**2
         self.descent: Array = (
             np.asarray(self.columns @ residual.ravel(), float) - self.prior_precision * values

@@ -35,6 +35,7 @@ from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.line_search import LineSearch
 from wavesim.calibration.joint.pixels import CalibrationPixels, RayDerivatives
 from wavesim.calibration.joint.selection import count_not_needed, eliminated_in_turn
+from wavesim.calibration.object_uncertainty import ObjectUncertainty, object_uncertainty
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.forward.linear_model import LinearModel, RealArray
 from wavesim.metrics.goodness_of_fit import LIMIT
@@ -112,6 +113,8 @@ class FitResult:
         Benches that were tried, and their misfits.
     stopped_because : str
         Reason for the end of the search.
+    object_uncertainty : ObjectUncertainty or None
+        Errors of the object that the covariance allows; None for a known object.
     """
 
     unknowns: Unknowns
@@ -121,6 +124,7 @@ class FitResult:
     misfit: float
     trail: tuple[tuple[Unknowns, float], ...]
     stopped_because: str
+    object_uncertainty: ObjectUncertainty | None = None
 
     @property
     def deviations(self) -> Array:
@@ -189,6 +193,8 @@ class JointSearch:
     on_stage
         Callback `on_stage(stage, completed, total)` for the stages that follow the search; the total is 0
         where it is unknown.
+    absorbed : tuple of Parameter
+        Parameters of the light that are not sought, because the object takes them over.
     """
 
     pixels: CalibrationPixels
@@ -201,6 +207,7 @@ class JointSearch:
     progress: Progress | None = None
     keep: Callable[[SearchState], None] | None = None
     on_stage: Callable[[str, int, int], None] = lambda stage, completed, total: None
+    absorbed: tuple[Parameter, ...] = ()
 
     def run(self, state: SearchState) -> FitResult:
         """Search from a state and return the result.
@@ -273,8 +280,27 @@ class JointSearch:
             object_is_free=self.known is None,
             progress=lambda done, total: self.on_stage("standard deviations", done, total),
         )
+        uncertainty = (
+            None if self.known is not None else self._object_uncertainty(equations, covariance, best)
+        )
+        del equations  # its columns are large
         best, needed = self._with_fewer(best, estimates, covariance, tolerated_ratio)
-        return FitResult(best.unknowns, estimates, needed, covariance, best.misfit, state.trail, reason)
+        end = best.misfit, state.trail, reason, uncertainty
+        return FitResult(best.unknowns, estimates, needed, covariance, *end)
+
+    def _object_uncertainty(
+        self, equations: GaussNewtonStep, covariance: Array, best: _BenchFit
+    ) -> ObjectUncertainty:
+        """Return the errors of the object: those of the bench, and of the light that was not sought."""
+        return object_uncertainty(
+            equations,
+            covariance,
+            [
+                np.asarray(p.typical * self.pixels.light_change(best.unknowns, p), complex)
+                for p in self.absorbed
+            ],
+            lambda done, total: self.on_stage("uncertainty of the object", done, total),
+        )
 
     def _with_fewer(
         self, best: _BenchFit, estimates: Array, covariance: Array, tolerated_ratio: float

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
-from wavesim.fields.field import Field
-from wavesim.scene.light_errors import Orders, light_mode
 from wavesim.sensor.measurement import Array
-
-BENDS: tuple[Orders, ...] = ((2, 0), (1, 1), (0, 2))
-SHAPES: tuple[Orders, ...] = ((1, 0), (0, 1), *BENDS)
-"""Modes of a phase: its tilts, and its second orders."""
 
 
 def shift_pixels(measured: Array, modelled: Array) -> tuple[float, float]:
@@ -45,23 +38,3 @@ def background(measured: Array, modelled: Array) -> tuple[float, float]:
     dark = modelled < dark_fraction * modelled.max()
     level = float(np.mean(measured[dark] - modelled[dark])) if np.any(dark) else 0.0
     return level / float(measured.mean()), level
-
-
-def smooth_phase_waves(transmission: Field) -> dict[Orders, float]:
-    """Return the modes `SHAPES` of the phase in waves.
-
-    They are fitted to phase differences of neighbouring samples, which need no unwrapping.
-    """
-    values = transmission.values
-    modes = np.stack([light_mode(orders, values.shape) for orders in SHAPES])
-    hessian, gradient = np.zeros((len(SHAPES), len(SHAPES))), np.zeros(len(SHAPES))
-    for axis in (0, 1):
-        current, following = (np.moveaxis(values, axis, 0)[offset] for offset in (slice(-1), slice(1, None)))
-        step = following * current.conj()
-        changes: NDArray[np.float64] = np.moveaxis(np.diff(modes, axis=axis + 1), axis + 1, 1)
-        changes = changes.reshape(len(SHAPES), -1)
-        weighted = changes * np.abs(step).ravel()
-        hessian += weighted @ changes.T
-        gradient += weighted @ np.angle(step).ravel()
-    solution = np.linalg.solve(hessian, gradient) / (2.0 * np.pi)
-    return dict(zip(SHAPES, solution.tolist(), strict=True))

@@ -24,14 +24,8 @@ from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.metrics.goodness_of_fit import LEAST_GAIN, Trial
-from wavesim.reconstruction.diagnostics.bench_estimates import (
-    BENDS,
-    SHAPES,
-    background,
-    centroid,
-    shift_pixels,
-    smooth_phase_waves,
-)
+from wavesim.metrics.low_orders import CURVATURE_ORDERS, PHASE_ORDERS, smooth_phase_waves
+from wavesim.reconstruction.diagnostics.bench_estimates import background, centroid, shift_pixels
 from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.object_solver import Kind, Reconstructed, reconstruct
@@ -283,14 +277,14 @@ class CauseTrials:
     def _light_trial(self) -> Trial:
         """Return a trial of light with the tilt and bend of a complex object, repeated if it helps."""
         best = Trial("light", "", math.inf)
-        phase = dict.fromkeys(SHAPES, 0.0)
+        phase = dict.fromkeys(PHASE_ORDERS, 0.0)
         for _ in range(2):
             light = LightErrors(phase_waves=phase).on(self.light)
             free = self._reconstructed(
                 self._change("", "", light=light), "complex", FREE_ITERATIONS
             ).transmission
             correction = smooth_phase_waves(free.with_values(free.values * (light.values != 0.0)))
-            phase = {orders: phase[orders] + correction[orders] for orders in SHAPES}
+            phase = {orders: phase[orders] + correction[orders] for orders in PHASE_ORDERS}
             best = min(best, self._trial(self._with_light(phase)), key=lambda one: one.misfit_ratio)
             if best.gain <= LEAST_GAIN:
                 break
@@ -300,10 +294,10 @@ class CauseTrials:
         height, width = self.light.grid.half_widths_mm
         per_mm = 1e-3 * self.light.wavelength_um / self.light.index
         x, y = (math.degrees(per_mm * phase[one] / half) for one, half in (((1, 0), width), ((0, 1), height)))
-        bent = max(abs(phase[orders]) for orders in BENDS)
+        bent = max(abs(phase[orders]) for orders in CURVATURE_ORDERS)
         description = f"light tilted by {x:.2g}, {y:.2g}°"
         if bent < LEAST_BEND_WAVES:
-            phase = phase | dict.fromkeys(BENDS, 0.0)
+            phase = phase | dict.fromkeys(CURVATURE_ORDERS, 0.0)
         else:
             description = f"{description}, bent by {bent:.1g} waves"
         return self._change("light", description, light=LightErrors(phase_waves=phase).on(self.light))

@@ -40,7 +40,7 @@ class Equations:
         self.columns, self.linear, self.variance = columns, linear, variance
         self.prior_precision = variance / typical**2
 
-    def reduced_columns(self, most_iterations: int) -> NDArray[Any]:
+    def reduced_columns(self, most_iterations: int, _progress: object) -> NDArray[Any]:
         return self.columns
 
 

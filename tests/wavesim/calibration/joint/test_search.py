@@ -169,6 +169,29 @@ def test_tiles_are_made_anew_only_where_turned_ones_mislead(
     assert len(again.trail) > len(perturbed.trail)
 
 
+def test_iterations_are_doubled_until_the_object_has_settled(search: JointSearch, lens: Lens) -> None:
+    """One iteration leaves more misfit of the object than of the bench; a resumed search makes as many."""
+    allowed = bench_parameters(lens, 2, 0.06, 0.532)
+    parameters = chosen_parameters("plane_2_shift_x_um", allowed)
+    stages: list[str] = []
+    few = replace(
+        search,
+        parameters=parameters,
+        iterations=1,
+        on_stage=lambda stage, done, total: stages.append(stage),
+    )
+    states: list[SearchState] = []
+    start = Unknowns(lens, values=TRUE | {"plane_2_shift_x_um": 0.0})
+    found = replace(few, keep=states.append).run(SearchState(start))
+    assert 4 <= max(state.iterations for state in states) <= 40
+    assert found.trail[-1][1] < 0.7 * found.trail[0][1]
+    assert found.unknowns.values["plane_2_shift_x_um"] == pytest.approx(1.5, abs=0.05)
+    assert {"estimates", "standard deviations", "uncertainty of the object"} <= set(stages)
+    assert found.object_uncertainty is not None
+    again = few.run(states[-1])
+    assert again.trail[len(states[-1].trail)][1] == pytest.approx(found.trail[-1][1], rel=0.05)
+
+
 def test_what_is_right_already_is_not_sought_first(search: JointSearch, lens: Lens) -> None:
     """Light's unevenness is sought at once where misfits are near the noise, and last where they are not."""
     allowed = bench_parameters(lens, 2, 0.06, 0.532)
