@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import re
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from places import GOLDEN
 
 from lensdesign import InputError, Lens, MaterialError, Pose, scaled
@@ -477,13 +481,13 @@ def test_a_model_glass_of_two_words_is_index_and_abbe_number() -> None:
 )
 def test_every_form_of_a_glass_code_has_the_index_it_states(tmp_path: Path, words: str, index: float) -> None:
     text = ASPHERE.replace("'NBK7_SCHOTT'", words)
-    for given in (text, text.replace(f" {words}\n", f"\n  GLA S1 {words}\n")):
-        result = read_seq(saved(tmp_path, given), SENSOR)
+    for stated in (text, text.replace(f" {words}\n", f"\n  GLA S1 {words}\n")):
+        result = read_seq(saved(tmp_path, stated), SENSOR)
         assert result.lens.surfaces[0].material == pytest.approx(index, abs=1e-12)
         assert result.dropped == ()
         for wavelengths in ("550", "587.5618 486.1 656.3"):
             with pytest.raises(LossyImportError, match="surface 1: dispersion of the model glass"):
-                read_seq(saved(tmp_path, given.replace("WL 587.5618", f"WL {wavelengths}")), SENSOR)
+                read_seq(saved(tmp_path, stated.replace("WL 587.5618", f"WL {wavelengths}")), SENSOR)
 
 
 @pytest.mark.parametrize(
@@ -658,3 +662,32 @@ def test_a_misread_glass_code_is_noticed(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(codev, "coded_glass", misread)
     with pytest.raises(InputError, match=r"index of 1\.1 was read .* 1\.51"):
         read_seq(path, supplement)
+
+
+WORDS = st.sampled_from(
+    re.split(
+        " +",
+        "S SO SI THI RDY GLA K A ASP STO CIR XDE ADE REV DAR ZOO SA SS SI-1 S1..2 S9 1.5168 64.17 517642 "
+        "1.5:60 REFL PIM HMY OAL 0 1e308 -1e308 1e-308 5 -5 INF 'x' PRV END PWL WL REF 0.1 EPD FNO NA DIM I "
+        "UID DLF EDG & ; ! \" '",
+    )
+)
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(
+    changes=st.lists(st.tuples(st.integers(0, 60), WORDS, st.booleans()), min_size=1, max_size=4),
+    lossy=st.booleans(),
+)
+def test_damaged_files_give_a_lens_or_a_message(
+    tmp_path: Path, changes: list[tuple[int, str, bool]], lossy: bool
+) -> None:
+    """Words are replaced or inserted anywhere."""
+    words = ASPHERE.replace("\n", " \n ").split(" ")
+    for place, word, is_new in changes:
+        at = place % len(words)
+        words[at : at if is_new else at + 1] = [word]
+    path = saved(tmp_path, " ".join(words))
+    with contextlib.suppress(InputError, MaterialError):
+        lens = read_seq(path, SUPPLEMENT, lossy).lens
+        assert np.isfinite(lens.indices(lens.wavelengths_um[0])).all()
