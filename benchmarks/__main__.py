@@ -49,6 +49,7 @@ SCRIPTS = (
     "plan_outcomes",
     "oversampling_chart",
     "calibration_errors",
+    "photographs",
     "bench_sets",
     "focus_rule",
     "merits_and_chain",

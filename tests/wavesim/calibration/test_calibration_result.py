@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from wavesim.calibration.calibration_result import Calibrated, field_stop_of
+from lensdesign.errors import InputError
+from wavesim.calibration.calibration_result import Calibrated, bench_uncertainty_of, field_stop_of
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.system_state import SystemState
 
@@ -54,3 +55,23 @@ def test_a_stop_that_was_sought_is_as_certain_as_its_deviation(deviation_mm: flo
     )
     assert ("2 µm" in found.stop_warning) is warns
     assert bool(found.table()["undetermined"]) is warns
+
+
+def test_what_a_bench_leaves_of_the_object_is_read_from_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    stated = {"correlation": 0.4, "correlation_without_low_orders": 0.98, "phase_waves": {"ramp x": 0.3}}
+    path.write_text(json.dumps({"object_uncertainty": stated}))
+    found = bench_uncertainty_of(path)
+    assert found is not None
+    assert vars(found) == stated
+    assert "ramp x" in found.words
+    path.write_text(json.dumps({}))
+    assert bench_uncertainty_of(path) is None
+
+
+@pytest.mark.parametrize("stated", [0.9, {"correlation": "high"}, {"correlation": 0.9}])
+def test_an_unreadable_statement_is_refused(tmp_path: Path, stated: object) -> None:
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps({"object_uncertainty": stated}))
+    with pytest.raises(InputError, match=r"calibration\.json"):
+        bench_uncertainty_of(path)
