@@ -16,10 +16,12 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.nlopt_driver import (
     ALGORITHMS,
+    CONVERGED,
     FEASIBLE,
     UNTRACEABLE,
     Evaluation,
     Outcome,
+    constraints_alone,
     minimize,
     stationarity,
 )
@@ -170,13 +172,19 @@ def _search_from(
     dense = dense.with_rays(rays)
     final = problem.evaluate(point, dense)
     if only_feasible or final.violation > ACCEPTED_VIOLATION:
-        final = _constraints_alone(problem.evaluate(point, dense, final=only_feasible))
-        result = Outcome(point, 0.0, final.objective, budget.spent - spent_before, outcome.stopped_because)
+        final = constraints_alone(problem.evaluate(point, dense, final=only_feasible))
+        objective, violation = 0.0, final.objective
     else:
-        result = Outcome(
-            point, final.objective, final.violation, budget.spent - spent_before, outcome.stopped_because
-        )
-    converged = worse is None and _stationary(lambda _: final, point)
+        objective, violation = final.objective, final.violation
+    residual = _residual(final, point)
+    converged = worse is None and residual <= CONVERGED
+    reason = outcome.stopped_because
+    if worse is not None and not limit:
+        reason = f"worse rays were still found after {most_exchanges} exchanges"
+    elif reason == "converged" and not converged:
+        reason = f"the first-order residual over all rays is {residual:.2g}"
+    spent = budget.spent - spent_before
+    result = Outcome(point, objective, violation, spent, "converged" if converged else reason, residual)
     return SearchResult(problem, dense, result, converged, "" if converged else limit)
 
 
@@ -246,13 +254,6 @@ def _algorithm_sequence(algorithm: str) -> tuple[str, ...]:
     return ("slsqp", "cobyla", "slsqp") if algorithm == "slsqp" else (algorithm,)
 
 
-def _constraints_alone(found: Evaluation) -> Evaluation:
-    """Return an evaluation with the constraints as goals and without constraints."""
-    return Evaluation(
-        found.constraints, found.constraints_by, found.constraints[:0], found.constraints_by[:0]
-    )
-
-
 def _solve(
     problem: DesignProblem,
     rays: Rays,
@@ -275,7 +276,7 @@ def _solve(
         return evaluated(point.tobytes())
 
     def restore(point: Array) -> Evaluation:
-        return _constraints_alone(evaluated(point.tobytes()))
+        return constraints_alone(evaluated(point.tobytes()))
 
     def run(function: Callable[[Array], Evaluation], point: Array, algorithm: str, most: int) -> Outcome:
         found = minimize(
@@ -324,11 +325,13 @@ def _run_in_sequence(
 
 def _stationary(function: Callable[[Array], Evaluation], point: Array) -> bool:
     """Return whether a point meets the first-order conditions, since nlopt may stop too early."""
-    found = function(point)
+    return _residual(function(point), point) <= CONVERGED
+
+
+def _residual(found: Evaluation, point: Array) -> float:
+    """Return the residual of the first-order conditions; inf where a ray is lost."""
     is_traceable = max(found.objective, found.violation) < 0.5 * UNTRACEABLE
-    # First-order error below which a start counts as converged.
-    tolerance = 2e-3
-    return is_traceable and stationarity(found, point) <= tolerance
+    return stationarity(found, point) if is_traceable else math.inf
 
 
 def starts_of(problem: DesignProblem, seed: int, count: int | None = None) -> Iterator[Array]:

@@ -20,8 +20,15 @@ from lensdesign.errors import InputError
 FEASIBLE = 1e-8
 """Largest scaled constraint of a feasible point; constraints are scaled to about 1."""
 
+CONVERGED = 2e-3
+"""Residual of the first-order conditions (:func:`stationarity`) up to which a point counts as converged."""
+
 UNTRACEABLE = 1e3
 """Replacement of a value that is not finite: far above any scaled goal, but without spoiling local models."""
+
+
+EVALUATION_LIMIT, TIME_LIMIT = LIMITS = "evaluation limit", "time limit"
+"""Reasons for the end of a search that say nothing of its point."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,11 @@ class Outcome:
     evaluations
         Number of different points that were evaluated.
     stopped_because
-        Reason why the search ended.
+        Reason why the search ended. It is ``converged`` only if the point meets the first-order conditions;
+        nlopt also stops where the steps of an algorithm have become small.
+    residual
+        Residual of the first-order conditions at this point (:func:`stationarity`); of the constraints
+        alone, if the point violates one. NaN if it was not measured.
     """
 
     point: Array
@@ -113,6 +124,7 @@ class Outcome:
     violation: float
     evaluations: int
     stopped_because: str
+    residual: float = math.nan
 
 
 class _Search:
@@ -132,6 +144,7 @@ class _Search:
         self.evaluations = 0
         self.best: tuple[float, float] = (math.inf, math.inf)
         self.point: Array | None = None
+        self.found: Evaluation | None = None
         self.error: BaseException | None = None
         self.opt: Any = None
         self._last: tuple[bytes, Evaluation] | None = None
@@ -157,6 +170,7 @@ class _Search:
         excess = e.violation if e.violation > FEASIBLE else 0.0
         if (excess, e.objective) < self.best:
             self.best, self.point = (excess, e.objective), np.clip(x[: self.n], 0.0, 1.0)
+            self.found = e
             if self.on_point is not None:
                 self.on_point(self.point)
             if self.on_improvement is not None:
@@ -230,6 +244,29 @@ def stationarity(e: Evaluation, point: Array) -> float:
     return float(np.linalg.norm(by.T @ weights))
 
 
+def first_order_residual(e: Evaluation, point: Array) -> float:
+    """Return the stationarity of a feasible point, or of the largest violation at another one."""
+    if e.violation > FEASIBLE:
+        e = constraints_alone(e)
+    if max(e.objective, e.violation) >= 0.5 * UNTRACEABLE:
+        return math.inf
+    return stationarity(e, point)
+
+
+def constraints_alone(e: Evaluation) -> Evaluation:
+    """Return an evaluation with the constraints as goals and without constraints."""
+    return Evaluation(e.constraints, e.constraints_by, e.constraints[:0], e.constraints_by[:0])
+
+
+def _reason_by_residual(reason: str, residual: float) -> str:
+    """Return why a search ended; whether it has converged is decided by its point, not by nlopt's code."""
+    if reason in LIMITS:
+        return reason
+    if residual <= CONVERGED:
+        return "converged"
+    return f"{reason}, but it is not stationary (first-order residual {residual:.2g})"
+
+
 def minimize(
     evaluate: Callable[[Array], Evaluation],
     start: Array,
@@ -288,7 +325,16 @@ def minimize(
     if search.error is not None and not isinstance(search.error, DeadlineExceeded):
         raise search.error
     assert search.point is not None  # at least the start was evaluated
-    return Outcome(search.point, search.best[1], search.best[0], search.evaluations, reason)
+    assert search.found is not None
+    residual = first_order_residual(search.found, search.point)
+    return Outcome(
+        search.point,
+        search.best[1],
+        search.best[0],
+        search.evaluations,
+        _reason_by_residual(reason, residual),
+        residual,
+    )
 
 
 def _prepared(
@@ -323,11 +369,11 @@ def _limited(opt: Any, limits: tuple[float, int], tolerance: float) -> Any:
 
 def _run(nlopt: Any, opt: Any, search: _Search, x0: Array) -> str:
     reasons = {
-        nlopt.STOPVAL_REACHED: "goal reached",
-        nlopt.FTOL_REACHED: "converged (objective)",
-        nlopt.XTOL_REACHED: "converged (variables)",
-        nlopt.MAXEVAL_REACHED: "evaluation limit",
-        nlopt.MAXTIME_REACHED: "time limit",
+        nlopt.STOPVAL_REACHED: "the goal is reached",
+        nlopt.FTOL_REACHED: "the objective no longer changes",
+        nlopt.XTOL_REACHED: "the point no longer moves",
+        nlopt.MAXEVAL_REACHED: EVALUATION_LIMIT,
+        nlopt.MAXTIME_REACHED: TIME_LIMIT,
     }
     try:
         opt.optimize(x0)
@@ -337,5 +383,5 @@ def _run(nlopt: Any, opt: Any, search: _Search, x0: Array) -> str:
         if search.error is None and kind == "invalidargument":
             raise InputError(f"nlopt refused the problem: {kind} {error}") from error
         if isinstance(search.error, DeadlineExceeded):
-            return "time limit"
+            return TIME_LIMIT
         return "rounding limits further progress" if kind == "roundofflimited" else f"nlopt stopped: {kind}"

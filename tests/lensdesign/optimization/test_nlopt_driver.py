@@ -12,7 +12,9 @@ import pytest
 from lensdesign.errors import InputError
 from lensdesign.optimization.nlopt_driver import (
     ALGORITHMS,
+    CONVERGED,
     FEASIBLE,
+    LIMITS,
     UNTRACEABLE,
     Evaluation,
     minimize,
@@ -52,6 +54,39 @@ def test_every_algorithm_finds_a_constrained_minimum(algorithm):
 def test_local_searches_solve_the_minimax_problem(algorithm):
     found = minimize(minimax, np.array([0.9, 0.1]), algorithm)
     assert found.objective == pytest.approx(2.0 / 3.0, abs=1e-5)
+
+
+def valley(x: np.ndarray) -> Evaluation:
+    """A curved valley of four goals with kinks: 1 at (0.9, 0.81)."""
+    across, across_by = 10.0 * (x[1] - x[0] ** 2), np.array([-20.0 * x[0], 10.0])
+    along, along_by = 0.9 - x[0], np.array([-1.0, 0.0])
+    by = np.array([across_by, -across_by, along_by, -along_by])
+    return Evaluation(1.0 + np.array([across, -across, along, -along]), by, np.empty(0), np.empty((0, 2)))
+
+
+@pytest.mark.parametrize("algorithm", list(ALGORITHMS))
+@pytest.mark.parametrize("problem", [quadratic, minimax, valley])
+def test_converged_means_that_the_first_order_conditions_hold(algorithm, problem):
+    """Whatever nlopt's code says; a point that is stationary has the goal of the known minimum."""
+    minimum = {quadratic: 0.04, minimax: 2.0 / 3.0, valley: 1.0}[problem]
+    found = minimize(problem, np.array([0.1, 0.85]), algorithm, max_seconds=5.0, max_evaluations=3000)
+    residual = stationarity(problem(found.point), found.point)
+    assert found.residual == pytest.approx(residual, abs=1e-9)
+    if found.stopped_because == "converged":
+        assert residual <= CONVERGED
+        assert found.objective == pytest.approx(minimum, abs=2e-3)
+    elif found.stopped_because not in LIMITS:
+        assert residual > CONVERGED
+    if algorithm == "slsqp":
+        assert found.stopped_because == "converged"
+
+
+def test_a_search_that_stalls_beside_the_minimum_has_not_converged():
+    """BOBYQA within an augmented Lagrangian stops in the valley, and nlopt reports success."""
+    found = minimize(valley, np.array([0.1, 0.9]), "auglag-bobyqa")
+    assert found.residual > 0.1
+    assert "converged" not in found.stopped_because
+    assert found.objective > 1.0002
 
 
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))
