@@ -14,7 +14,7 @@ from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import GRADES, Json, Trust, output_option
 from lensdesign.common.outputs import output_file
 from lensdesign.common.progress import progress_count
-from lensdesign.common.text import known_text, visible
+from lensdesign.common.text import counted_reasons, known_text, visible
 from lensdesign.files.formats import LENS_FORMATS
 
 if TYPE_CHECKING:
@@ -160,9 +160,9 @@ def _print_result(index: StockIndex, result: StockResult, files: StockFiles) -> 
     )
     if result.left_out:
         typer.echo(f"{len(result.left_out)} files not used; the most frequent reasons:")
-        for reason, number in Counter(result.left_out.values()).most_common(3):
+        for reason, number in [*counted_reasons(Counter(result.left_out.values())).items()][:3]:
             typer.echo(f"  {number}: {visible(reason)}")
-    for reason, number in sorted(result.skipped.items(), key=lambda one: -one[1]):
+    for reason, number in result.skipped.items():
         typer.echo(f"skipped, {visible(reason)}: {number}")
     if result.matches:
         print_tables(_table(result.matches, files))

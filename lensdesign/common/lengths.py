@@ -19,7 +19,7 @@ UNITS = {"mm": "millimetres", "um": "micrometres"}
 
 @dataclass(frozen=True)
 class PlausibleLength:
-    """Plausible and usual range of a length in one unit.
+    """Plausible and usual range of a length, or of another quantity, in one unit.
 
     Attributes
     ----------
@@ -31,6 +31,8 @@ class PlausibleLength:
         Objection to a length outside the range, as part of a sentence (default: the range).
     always
         Whether a length outside the range is refused even if no other unit makes it usual.
+    ratios
+        Ratios of the units that are confused, smaller to larger (default: those of lengths).
     """
 
     lowest: float
@@ -38,6 +40,7 @@ class PlausibleLength:
     usual: tuple[float, float]
     reason: str = ""
     always: bool = False
+    ratios: tuple[float, ...] | None = None
 
     def objection(self, value: float, unit: str) -> str | None:
         """Return the objection to a length, with the value that may be meant; None if it is plausible.
@@ -47,7 +50,7 @@ class PlausibleLength:
         value
             The length, of either sign. 0 is plausible.
         unit
-            ``mm`` or ``um``, the unit of the length and of this range.
+            Unit of the length and of this range; ``mm`` or ``um`` if there is no `reason`.
         """
         size = abs(value)
         if size == 0.0 or not math.isfinite(size) or self.lowest <= size <= self.highest:
@@ -65,9 +68,11 @@ class PlausibleLength:
         # tried for lengths with a relative range; the last one is that of angstroms.
         unit_steps = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
         steps = unit_steps if self.always else unit_steps[:2]
+        if self.ratios is not None:
+            steps = self.ratios
         candidates = [step for step in steps if (step < 1.0) == (size > self.highest)]
         meant = next((step * value for step in candidates if low <= step * size <= high), None)
-        return "" if meant is None else f"; {number_with_unit(f'{meant:g}', unit)} may be meant"
+        return "" if meant is None else f"; {number_with_unit(f'{meant:.6g}', unit)} may be meant"
 
     def at_most(self) -> PlausibleLength:
         """Return the range without a lower end."""
@@ -108,7 +113,7 @@ def implausible_values(
     plausible
         Plausible range; None if every length is.
     unit
-        Unit of the value and of the range, ``mm`` or ``um``.
+        Unit of the value and of the range.
     """
     for number in _numbers_of(value):
         objection = None if plausible is None else plausible.objection(number, unit)

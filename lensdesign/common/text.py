@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -152,3 +153,20 @@ def quantity_sentence(name: str, number: str) -> str:
 def name_with_unit(name: str, unit: str) -> str:
     """Return the name of a quantity with its unit, for axes and columns of tables."""
     return f"{name} ({unit_symbol(unit)})" if unit else name
+
+
+def counted_reasons(reasons: Mapping[str, int]) -> dict[str, int]:
+    """Return how often each reason occurs, the most frequent first.
+
+    Reasons that differ only in their numbers count as one, which is the most frequent of them.
+
+    Parameters
+    ----------
+    reasons
+        Sentences, and how often each of them occurs.
+    """
+    kinds: dict[str, Counter[str]] = {}
+    for reason, count in reasons.items():
+        kinds.setdefault(re.sub(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", "#", reason), Counter())[reason] += count
+    totals = {kind.most_common(1)[0][0]: kind.total() for kind in kinds.values()}
+    return dict(sorted(totals.items(), key=lambda one: -one[1]))

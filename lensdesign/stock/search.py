@@ -24,6 +24,7 @@ from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.analysis.space_bandwidth import smallest_exit_beam_diameter_mm
 from lensdesign.common.arrays import Array
 from lensdesign.common.processes import Processes, follow_parent
+from lensdesign.common.text import counted_reasons
 from lensdesign.errors import DesignError, InputError, MaterialError, TransferLensError, validate_whole_number
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
@@ -258,7 +259,14 @@ def find_stock_lenses(
             progress(i, len(best), "yield of the best lenses as built")
             kept[i] = _as_built(one, settings.tolerances, settings.yield_trials)
     return StockResult(
-        tuple(kept), nearest, left_out, dict(skipped), len(lenses), len(parts), len(parts) ** 2, len(chosen)
+        tuple(kept),
+        nearest,
+        left_out,
+        counted_reasons(skipped),
+        len(lenses),
+        len(parts),
+        len(parts) ** 2,
+        len(chosen),
     )
 
 
@@ -425,13 +433,7 @@ def _rank_by_rays(work: _Work, arrangement: Arrangement) -> float | str:
     try:
         return find_distances(arrangement, work.specification, work.catalogs, COARSE).rank
     except InputError as error:
-        return f"{'pair' if len(arrangement.parts) > 1 else 'single lens'}: {_general(str(error))}"
-
-
-def _general(message: str) -> str:
-    """Return the part of a message without the numbers of one lens, so that equal reasons can be counted."""
-    head, _, _ = message.partition(":")
-    return " ".join(word for word in head.split() if not any(c.isdigit() for c in word))
+        return f"{'pair' if len(arrangement.parts) > 1 else 'single lens'}: {error}"
 
 
 Function = Callable[[_Work, Arrangement], Any]

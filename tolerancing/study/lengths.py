@@ -1,7 +1,12 @@
-"""Checks for lengths of a study that seem to be given in another unit: widths, steps, patches, planes."""
+"""Checks for values of a study that seem to be given in another unit: widths, steps, patches, planes.
+
+Lengths are compared with those of the lens. Other deviations (index, percent, fringes, angles, conic
+constants, aspheric terms) have limits far beyond any tolerance.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -20,9 +25,36 @@ from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.study.study import Study
 
+PERCENT, THOUSANDTH = 1e-2, 1e-3
+"""Ratios of a fraction, and of an error in units of the third decimal, to a number."""
+
+ARC_MINUTE, ARC_SECOND = 1.0 / 60.0, 1.0 / 3600.0
+"""Ratios of angles to degrees."""
+
+NANOMETRE_IN_WAVES = 1.0 / 632.8
+"""Waves of irregularity are those of 632.8 nm."""
+
+_LIMITS: dict[str, tuple[float, float, tuple[float, ...], str]] = {
+    "index": (
+        0.05,
+        0.01,
+        (PERCENT, THOUSANDTH),
+        "deviations of the index itself, not percent; a common tolerance is 0.0005",
+    ),
+    "radius_percent": (50.0, 10.0, (), "percent of the radius"),
+    "abbe_percent": (20.0, 5.0, (), "percent of the Abbe number"),
+    "coating_thickness_percent": (50.0, 10.0, (), "percent of the thickness"),
+    "radius_fringes": (1000.0, 100.0, (), "fringes of 632.8 nm over the clear diameter"),
+    "irregularity_waves": (50.0, 5.0, (NANOMETRE_IN_WAVES,), "waves of 632.8 nm"),
+    "roughness_rms_nm": (1000.0, 50.0, (THOUSANDTH,), "nanometres"),
+    "angle_deg": (20.0, 5.0, (ARC_MINUTE, ARC_SECOND), "degrees"),
+    "temperature_c": (300.0, 100.0, (), "kelvins"),
+}
+"""Largest deviation, largest usual deviation, ratios of confused units, and unit in words, by kind."""
+
 
 def implausible_study_lengths(study: Study, lens: Lens) -> Iterator[str]:
-    """Yield a message for each length of a study that is implausible for the size of its lens.
+    """Yield a message for each implausible value of a study, such as a length for the size of its lens.
 
     A width far below measurable values is reported if a thousand times as much is a usual tolerance.
     """
@@ -62,12 +94,45 @@ def implausible_study_lengths(study: Study, lens: Lens) -> Iterator[str]:
 
 
 def _plausible_deviation(one: PerturbedParameter, size: LensLengths, lens: Lens) -> PlausibleLength | None:
-    """Return the plausible range of a deviation, in the parameter's unit; None if it is not a length."""
+    """Return the plausible range of a deviation, in the parameter's unit; None if there is none."""
     if one.parameter == "wavelength_um":
         wavelength = 1e3 * size.wavelength_mm
         reason = f"must be at most half of the wavelength of {wavelength:g} µm"
         return PlausibleLength(0.0, 0.5 * wavelength, (0.0, 0.5 * wavelength), reason)
-    return size.of_parameter_mm(lens, one.target.split()[0], one.parameter, one.surface, one.plane)
+    length = size.of_parameter_mm(lens, one.target.split()[0], one.parameter, one.surface, one.plane)
+    return _plausible_number(one, size, lens) if length is None else length
+
+
+def _plausible_number(one: PerturbedParameter, size: LensLengths, lens: Lens) -> PlausibleLength | None:
+    """Return the plausible range of a deviation that is not a length; None for settings."""
+    kind = one.parameter
+    if kind.startswith(("tilt", "roll")):
+        kind = "angle_deg"
+    elif kind.startswith("radius_x"):
+        kind = kind.replace("radius_x", "radius")
+    elif one.is_irregularity:
+        kind = "irregularity_waves"
+    if kind in _LIMITS:
+        highest, usual, ratios, words = _LIMITS[kind]
+        reason = f"must be at most {highest:g} ({words})"
+        return PlausibleLength(0.0, highest, (0.0, usual), reason, always=True, ratios=ratios)
+    if one.surface is None or one.surface >= len(lens.surfaces):
+        return None
+    surface = lens.surfaces[one.surface]
+    height = surface.semi_diameter_mm or 0.5 * size.clear_diameter_mm
+    asphere = re.fullmatch(r"(?:odd_)?asphere_(\d+)", kind)
+    if asphere is not None:
+        # A deviation that changes the sag at the clear edge by a tenth of the height.
+        highest = 0.1 * height ** (1 - int(asphere[1]))
+    elif kind.startswith("conic"):
+        radius = abs(getattr(surface, kind.replace("conic", "radius") + "_mm", None) or 0.0)
+        highest = max(1.0, abs(getattr(surface, kind, None) or 0.0), 0.8 * (radius / height) ** 3)
+    else:
+        return None
+    reason = f"must be at most {highest:.3g}; the sag at the clear edge then changes by a tenth of its height"
+    return PlausibleLength(
+        0.0, highest, (0.0, 0.1 * highest), reason, always=True, ratios=(PERCENT, THOUSANDTH)
+    )
 
 
 def _plausible_step(one: PerturbedParameter, size: LensLengths, lens: Lens) -> PlausibleLength | None:
@@ -76,7 +141,8 @@ def _plausible_step(one: PerturbedParameter, size: LensLengths, lens: Lens) -> P
     if plausible is None:
         return None
     most = 2.0 * plausible.highest
-    reason = f"must be at most {number_with_unit(f'{most:.3g}', one.unit)}, far beyond any tolerance"
+    words = f" ({_LIMITS[one.parameter][3]})" if one.parameter in _LIMITS else ""
+    reason = f"must be at most {number_with_unit(f'{most:.3g}', one.unit)}{words}, far beyond any tolerance"
     return replace(plausible, highest=most, reason=reason)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,17 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, SurfaceMeridian, closed_elements
 from lensdesign.manufacture.mesh.reading import TriangleMesh
+
+UNITS_MM = {
+    "inches": 25.4,
+    "feet": 304.8,
+    "thousandths of an inch": 0.0254,
+    "metres": 1e3,
+    "centimetres": 10.0,
+    "micrometres": 1e-3,
+    "nanometres": 1e-6,
+}
+"""Units in mm that a mesh without a unit may have in place of millimetres."""
 
 BLOCK_POINTS = 200_000
 """Number of points in one block of the computation."""
@@ -61,6 +72,10 @@ class MeshReport:
         in um; None without such facets.
     chord_error_um
         Allowed distance in um.
+    unit
+        Unit in which the mesh has the size of the design; None for millimetres, or if no known unit fits.
+    agrees_in_unit
+        Whether the mesh agrees with the design in that unit.
     """
 
     triangles: int
@@ -73,11 +88,22 @@ class MeshReport:
     distances: tuple[SurfaceDistances, ...]
     edge_greatest_um: float | None
     chord_error_um: float
+    unit: str | None = None
+    agrees_in_unit: bool = False
 
     @property
     def faults(self) -> tuple[str, ...]:
         """Violated conditions, one sentence each."""
-        found = [] if self.closed else [f"the mesh is open: {self.open_edges} edges without a counterpart"]
+        found = []
+        if self.unit is not None:
+            same = "agrees with the design" if self.agrees_in_unit else "has the size of the design"
+            factor = UNITS_MM[self.unit]
+            found.append(
+                f"the mesh {same} after a factor of {factor:g}; is it in {self.unit}? Lengths must be in "
+                f"millimetres: export it so, or multiply its lengths by {factor:g}"
+            )
+        if not self.closed:
+            found.append(f"the mesh is open: {self.open_edges} edges without a counterpart")
         if self.closed and self.bodies != self.elements:
             found.append(f"{self.bodies} bodies, where the design has {self.elements}")
         if self.closed and not self.volume_mm3 > 0.0:
@@ -132,6 +158,30 @@ def verify_mesh(lens: Lens, mesh: TriangleMesh, chord_error_um: float = 0.1) -> 
     """
     if not 0.0 < chord_error_um < np.inf:
         raise InputError(f"chord_error_um = {chord_error_um:g}: must be above 0 and finite")
+    report = _verified(lens, mesh, chord_error_um)
+    unit = _other_unit(mesh, closed_elements(lens)) if report.faults else None
+    if unit is None:
+        return report
+    scaled = replace(mesh, vertices_mm=UNITS_MM[unit] * mesh.vertices_mm)
+    return replace(report, unit=unit, agrees_in_unit=not _verified(lens, scaled, chord_error_um).faults)
+
+
+def _other_unit(mesh: TriangleMesh, elements: Sequence[Element]) -> str | None:
+    """Return the unit other than millimetres in which the mesh is as wide as the design; None without one."""
+    if not len(mesh.faces):
+        return None
+    used = mesh.vertices_mm[np.unique(mesh.faces)]
+    widest = float(np.max(np.ptp(used[:, :2], axis=0)))
+    design_mm = 2.0 * max(element.edge_mm for element in elements)
+    # Relative difference of the widths within which a unit is suggested.
+    tolerance = 0.02
+    return next(
+        (unit for unit, mm in UNITS_MM.items() if abs(mm * widest / design_mm - 1.0) <= tolerance), None
+    )
+
+
+def _verified(lens: Lens, mesh: TriangleMesh, chord_error_um: float) -> MeshReport:
+    """Return the report of a mesh in millimetres."""
     elements = closed_elements(lens)
     vertices, faces = merged(mesh)
     bodies, open_edges = closed_bodies(vertices, faces)

@@ -3,6 +3,7 @@
 import pytest
 
 from lensdesign.common.text import (
+    counted_reasons,
     decimals_text,
     name_with_unit,
     number_with_unit,
@@ -47,3 +48,8 @@ def test_units_are_written_as_people_write_them(unit: str, shown: str, named: st
 def test_names_of_quantities_become_words(name: str, label: str, sentence: str) -> None:
     assert quantity_label(name) == label
     assert quantity_sentence(name, "0.1") == sentence
+
+
+def test_reasons_that_differ_in_numbers_count_as_one() -> None:
+    reasons = {"beam of 4.1 mm is too narrow": 2, "beam of 3 mm is too narrow": 5, "no glass": 3}
+    assert counted_reasons(reasons) == {"beam of 3 mm is too narrow": 7, "no glass": 3}

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
-from places import DESIGNS
+from places import DESIGNS, GOLDEN
 from tests_studies import DECENTER, DESIGN, FULL_STUDY, HEAD, RADIUS, SPREAD, STREHL, SWEEP
 
 from lensdesign import DesignError
@@ -51,6 +52,41 @@ def test_another_unit_is_questioned(study: Path, table: str, old: str, new: str,
     study.write_text(HEAD + first + SPREAD + table.replace(old, new))
     with pytest.raises(DesignError, match=message):
         load_study(study)
+
+
+def test_an_index_in_percent_is_refused() -> None:
+    """Indices from -0.05 to 3.3 had scores."""
+    with pytest.raises(
+        DesignError, match=r"surface_1_index, sigma = 0\.5: .* at most 0\.05 .*; 0\.005 may be"
+    ):
+        load_study(GOLDEN / "study_units" / "index_percent.toml")
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "meant"),
+    [
+        ("index", 0.3, "0.003"),
+        ("conic", 300.0, "3"),
+        ("asphere_4", 1.0, ""),
+        ("index", 0.06, "0.0006"),
+        ("radius_percent", 120.0, ""),
+        ("radius_fringes", 5000.0, ""),
+        ("irregularity_pv_waves", 100.0, "0.158028 waves"),
+        ("tilt_x_deg", 60.0, "1°"),
+    ],
+)
+def test_numbers_that_no_tolerance_has_are_refused(
+    study: Path, parameter: str, value: float, meant: str
+) -> None:
+    design = DESIGN.replace("stop = true", "stop = true\nasphere = [1e-7]")
+    (study.parent / "design.toml").write_text(design if parameter.startswith("asphere") else DESIGN)
+    table = DECENTER.replace('"lens"', '"surface 1"').replace("decenter_y_mm", parameter)
+    study.write_text(HEAD + table.replace("0.02", f"{value:g}") + SPREAD)
+    with pytest.raises(DesignError, match=re.escape(f"sigma = {value:g}: must be at most")) as refused:
+        load_study(study)
+    assert (f"{meant} may be meant" in str(refused.value)) == bool(meant)
+    study.write_text(HEAD + table.replace("0.02", "1e-09") + SPREAD)
+    load_study(study)
 
 
 def test_a_far_pivot_is_questioned(study: Path) -> None:

@@ -8,13 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from places import GOLDEN
+from programs import run_program
 
 from lensdesign import InputError, Lens, Surface
 from lensdesign.cli.commands import main
 from lensdesign.lens.edges import Edge, Flange
 from lensdesign.manufacture.mesh.mesh import lens_mesh, write_mesh
 from lensdesign.manufacture.mesh.reading import TriangleMesh, read_mesh
-from lensdesign.manufacture.mesh.verification import MeshReport, closed_bodies, merged, verify_mesh
+from lensdesign.manufacture.mesh.verification import (
+    UNITS_MM,
+    MeshReport,
+    closed_bodies,
+    merged,
+    verify_mesh,
+)
 
 CHORD_UM = 2.0
 
@@ -194,3 +202,30 @@ def test_bevels_flats_and_a_flange_belong_to_the_edge(paper_lens: Lens) -> None:
     assert report.faults == ()
     assert report.edge_greatest_um is not None
     assert report.edge_greatest_um <= 10.0
+
+
+def test_a_mesh_in_inches_is_recognised(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = (GOLDEN / "study_units" / "p.toml", GOLDEN / "mesh_units" / "inches.stl")
+    arguments = ["verify", *map(str, files), "--chord-error-um", "20"]
+    code, out, _ = run_program(monkeypatch, capsys, "lensdesign", *arguments, "--json")
+    found = json.loads(out)
+    assert (code, found["unit"], found["agrees_in_unit"], found["agrees"]) == (1, "inches", True, False)
+    _, out, err = run_program(monkeypatch, capsys, "lensdesign", *arguments)
+    assert "after a factor of 25.4; is it in inches?" in " ".join((out + err).split())
+
+
+@pytest.mark.parametrize("unit", sorted(UNITS_MM))
+def test_other_units_are_recognised_by_the_width(
+    paper_lens: Lens, coarse: trimesh.Trimesh, unit: str
+) -> None:
+    """A shifted mesh has the size of the design, but does not agree; a lens of another size has no unit."""
+    mm = UNITS_MM[unit]
+    for shift_mm, agrees in ((0.0, True), (1.0, False)):
+        vertices = (np.array(coarse.vertices) + np.array([0.0, 0.0, shift_mm])) / mm
+        report = verify_mesh(paper_lens, TriangleMesh(vertices, np.array(coarse.faces)), CHORD_UM)
+        assert (report.unit, report.agrees_in_unit) == (unit, agrees)
+        assert f"{mm:g}" in report.faults[0]
+    smaller = TriangleMesh(0.7 * np.array(coarse.vertices), np.array(coarse.faces))
+    assert verify_mesh(paper_lens, smaller, CHORD_UM).unit is None
