@@ -27,7 +27,7 @@ from lensdesign.optimization.nlopt_driver import (
 )
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, Rays
-from lensdesign.optimization.worst_rays import worse_rays
+from lensdesign.optimization.worst_rays import hidden_rays, worse_rays
 
 Improved = Callable[[float, float, int], None]
 
@@ -158,7 +158,7 @@ def _search_from(
     algorithms = _algorithm_sequence("slsqp" if only_feasible else specification.optimize.algorithm)
     point, spent_before, limit = start, budget.spent, ""
     # Largest number of times that worse rays of the dense check are added to the working set.
-    most_exchanges = 12
+    most_exchanges = 20
     for _ in range(most_exchanges):
         outcome = _solve(
             problem, rays, point, algorithms, budget, seed, on_improvement, only_feasible, on_point
@@ -166,6 +166,8 @@ def _search_from(
         point, limit = outcome.point, budget.used_up
         algorithms = _algorithm_sequence("slsqp") if ALGORITHMS[algorithms[0]].everywhere else algorithms
         worse = worse_rays(problem, point, rays, dense)
+        if worse is None and not limit and not problem.rotational:
+            worse = hidden_rays(problem, point, rays)
         if worse is None or limit:
             break
         rays = rays.with_rays(worse)

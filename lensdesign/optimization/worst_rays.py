@@ -8,10 +8,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.analysis.exit_beam import spread_angle_and_footprints
 from lensdesign.common.arrays import Array
+from lensdesign.errors import DesignError
 from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.operands.requirements import goal_operands, ray_constraint_operands
-from lensdesign.optimization.problem import DesignProblem, Rays
+from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
+
+EXCESS = 3e-5
+"""Smallest scaled excess over the working set for which a ray is added."""
 
 
 def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) -> Rays | None:
@@ -56,11 +61,49 @@ def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) ->
         return None
     numbers, indices, values = (np.array(column) for column in zip(*found, strict=True))
     refined, values = _refined(problem, point, numbers, dense.select(indices), values)
-    # Smallest scaled excess over the working set for which a ray is added.
-    tolerance = 3e-5
-    needed = np.array([np.max(own[number].values) for number in numbers]) + tolerance
+    needed = np.array([np.max(own[number].values) for number in numbers]) + EXCESS
     worse = refined.select(np.flatnonzero(values > needed))
     return worse.with_rays(worse) if len(worse.pupil) else None
+
+
+def hidden_rays(problem: DesignProblem, point: Array, rays: Rays) -> Rays | None:
+    """Return the extreme rays that the check of the finished lens finds, if they exceed the working set.
+
+    A lens without rotational symmetry has many maxima over azimuth. A dense set may miss the largest one.
+
+    Parameters
+    ----------
+    problem, point
+        The problem, and a point of its unit box.
+    rays
+        The working set.
+
+    Returns
+    -------
+    Rays or None
+        None if no ray is worse, or the lens cannot be made.
+    """
+    planes_mm = problem.specification.sensor.plane_distances_mm
+    fields, pupil = [], []
+    try:
+        lens = finished_lens(problem, point, rays)
+        for wavelength_um in lens.wavelengths_um:
+            spread, footprints, _ = spread_angle_and_footprints(lens, wavelength_um, planes_mm)
+            for one in (spread, *footprints):
+                fields.append(one.field_mm)
+                pupil.append(one.pupil)
+    except DesignError:
+        return None
+    factor = problem.base.object.field_diameter_mm / lens.object.field_diameter_mm
+    extreme = Rays(factor * np.array(fields), np.array(pupil))
+    own, others = _operands(problem, point, rays), _operands(problem, point, extreme)
+    worse = [
+        other.rays[other.values > np.max(one.values) + EXCESS]
+        for one, other in zip(own, others, strict=True)
+        if one.rays is not None and other.rays is not None and len(one.values)
+    ]
+    added = np.unique(np.concatenate([np.empty(0, np.int64), *worse]))
+    return extreme.select(added) if len(added) else None
 
 
 def _refined(

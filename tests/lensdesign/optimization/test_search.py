@@ -153,6 +153,35 @@ def test_a_biconic_is_judged_all_round(biconic: Specification) -> None:
     assert foot.margin_mm == pytest.approx(0.0, abs=0.05) or foot.radius_mm < foot.sensor_half_side_mm
 
 
+def test_the_largest_field_of_a_biconic_meets_the_limit_of_the_check(biconic: Specification) -> None:
+    """The check found a ray between those of the search, 8e-5 beyond the limit, and the lens was not met."""
+    glass = {"material": "N-SF11", "shape": "conic"}
+    specification = changed(
+        biconic.replaced(
+            surfaces=(
+                {"thickness_mm": 9.7, "semi_diameter_mm": 8.26, "stop": True, **glass},
+                {"shape": "biconic"},
+            )
+        ),
+        optimize=Settings(goal="largest field", start="plate", stop="numerical aperture", starts=1),
+        constraints=Constraints(max_footprint_radius_mm="sensor rectangle"),
+        variables=(
+            VariableRange(parameter="radius_mm", surface=1, smallest_radius_mm=10.0),
+            VariableRange(parameter="radius_mm", surface=2, smallest_radius_mm=9.5),
+            VariableRange(parameter="conic", surface=2, bounds=(-5.0, 1.0)),
+            VariableRange(parameter="radius_x_mm", surface=2, smallest_radius_mm=9.5),
+            VariableRange(parameter="conic_x", surface=2, bounds=(-5.0, 1.0)),
+            VariableRange(parameter="field_diameter_mm", bounds=(1.0, 4.0)),
+        ),
+    )
+    specification = specification.replaced(object=specification.object.replaced(field_diameter_mm=1.0))
+    found = optimize(specification)
+    assert found.feasible
+    (spread,) = found.spreads
+    assert -5e-5 < spread.share - 1.0 <= 1e-6
+    assert found.goal_value == pytest.approx(3.0456, abs=3e-4)
+
+
 def test_smallest_spread_from_a_plate(smallest_spread):
     """An independent search found 4.581 degrees; the paper's lens has 4.810."""
     found = optimize(smallest_spread)
