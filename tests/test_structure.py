@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -156,3 +157,26 @@ def test_tests_stand_where_their_modules_do() -> None:
         words = path.stem.removeprefix("test_").split("_")
         named = ["_".join(words[:count]) for count in range(1, len(words) + 1)]
         assert any((ROOT / folder / f"{name}.py").exists() for name in named), path.relative_to(ROOT)
+
+
+def test_the_map_names_the_folders_that_exist() -> None:
+    """Each folder on the map of CONTRIBUTING.md exists, and each package folder is on it."""
+    block = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Map")[2].partition("##")[0]
+    named: set[Path] = set()
+    package = ROOT
+    for line in (line for line in block.splitlines() if line.startswith("    ")):
+        names = re.findall(r"(?:(?<=\s)|^)([a-z_]+)/(?=[\s,;)]|$)", line)
+        if not line.startswith("     "):
+            package = ROOT / names.pop(0)
+            named.add(package)
+        own: list[Path] = []
+        for name in names:
+            options = [*(folder / name for folder in own), package / name]
+            place = next((one for one in options if one.is_dir()), options[-1])
+            own += [place] if place.parent == package else []
+            named.add(place)
+    missing = sorted(str(path.relative_to(ROOT)) for path in named if not path.is_dir())
+    assert missing == []
+    packages = {path.parent for path in modules().values() if path.name == "__init__.py"}
+    absent = sorted(str(path.relative_to(ROOT)) for path in packages - named)
+    assert absent == []

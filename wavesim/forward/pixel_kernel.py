@@ -2,7 +2,8 @@
 :mod:`wavesim.forward.pixel_means`.
 
 Each loop processes some rows or columns on one thread. All borders are periodic, as those of spectra are.
-"Middle" samples lie in the centers of pixels, "edge" samples half a pixel farther along y.
+"Middle" samples lie in the centers of pixels, "edge" samples half a pixel farther along x, in
+their row.
 """
 
 # mypy: disable-error-code="misc"

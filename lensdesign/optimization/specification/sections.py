@@ -49,12 +49,13 @@ class Constraints(FrozenModel):
     min_throughput
         Smallest fraction of the rays of each field point that pass all clear semi-diameters.
     min_edge_thickness_mm
-        Smallest thickness of glass at the ground edge: the cylinder of the edge table, or else the largest
-        clear semi-diameter. Flat rings and bevels are ignored.
+        Smallest thickness of glass at the ground diameter that will be drawn: that of the edge table, or else
+        the clear diameter with room for the mount and the bevels. A surface that ends before it continues
+        as a flat ring.
     min_center_thickness_mm
         Smallest thickness of each glass element on the axis.
     min_air_gap_mm
-        Smallest gap between elements, on the axis and at the ground edge, for a spacer.
+        Smallest gap between elements, on the axis and at the largest clear semi-diameter of the lens.
     max_edge_slope_deg
         Largest slope of each surface at its clear edge.
     max_lens_thickness_mm
