@@ -49,11 +49,15 @@ as the last one; more iterations are advised if it then reaches the noise.
 
 
 class Trial(NamedTuple):
-    """Trial explanation: one change of the model, and the ratio of the misfits with and without it."""
+    """Trial explanation: one change of the model, and the ratio of the misfits with and without it.
+
+    Both are misfits after a few iterations. `misfit` is the one with the change.
+    """
 
     cause: str
     explanation: str
     misfit_ratio: float
+    misfit: float = 0.0
 
     @property
     def gain(self) -> float:
@@ -258,13 +262,20 @@ class GoodnessOfFit:
         return (
             f"not explained: {size}; most on the plane at "
             f"{worst.distance_mm:g} mm, {worst.region_over_noise:.3g} times in the {width} x {height} pixels "
-            f"from {x}, {y} on. Most likely: {self.cause} ({self.evidence}). Next: {self.next_step}"
+            f"from {x}, {y} on. Most likely: {self.cause} ({self.evidence}){self._other_finding}. Next: "
+            f"{self.next_step}"
         )
 
     @property
     def within(self) -> bool:
         """True if residuals are within the noise on all planes."""
         return max(plane.excess for plane in self.planes) <= 1.0
+
+    @property
+    def _other_finding(self) -> str:
+        """The strongest finding, if it is not the cause."""
+        others = [one for one in self.findings if one.explanation != self.evidence]
+        return f"; also: {others[0].explanation}" if others else ""
 
     @property
     def _contributions(self) -> str:
@@ -403,7 +414,7 @@ def verdict(
         against.append(Finding("several objects", explanation))
     cause, evidence = "", ""
     if not within:
-        cause, evidence = _likeliest(trials, curve, max(excess))
+        cause, evidence = _likeliest(trials, findings, curve, max(excess), _excess_chi_square(planes))
     elif against:
         cause, evidence = against[0][:2]
     return GoodnessOfFit(
@@ -447,12 +458,43 @@ def wants_iterations(curve: Sequence[float], excess: float) -> bool:
     return bool(curve) and (len(curve) <= FEW or excess * (curve[-1] / curve[-2]) ** MORE < 1.0)
 
 
-def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -> tuple[str, str]:
-    """Return the most likely cause and its evidence."""
+def _excess_chi_square(planes: Sequence[PlaneResidual]) -> float:
+    """Return the sum of squared residuals over the variances of the noise, less the number of pixels."""
+    total = 0.0
+    for plane in planes:
+        for rows in row_blocks(len(plane.error)):
+            error, sigma = plane.error[rows].astype(float), plane.sigma[rows].astype(float)
+            known = np.isfinite(sigma) & (sigma > 0.0)
+            total += float(np.sum((error[known] / sigma[known]) ** 2 - 1.0))
+    return max(total, 0.0)
+
+
+def _likeliest(
+    trials: Sequence[Trial],
+    findings: Sequence[Finding],
+    curve: Sequence[float],
+    excess: float,
+    excess_chi_square: float,
+) -> tuple[str, str]:
+    """Return the most likely cause and its evidence: the one that explains most of the excess chi-square.
+
+    A finding states its gain of chi-square for the result itself. A trial gains as much as its misfit is
+    below that of the result.
+    """
+    pictures = [one for one in findings if one.cause == "orientation" and math.isfinite(one.chi_square)]
+    strongest = max(pictures, key=lambda one: one.chi_square, default=None)
+    least_misfit = min((trial.misfit for trial in trials), default=math.inf)
+    fraction = max(1.0 - (least_misfit / curve[-1]) ** 2, 0.0) if curve else 0.0
+    gain_of_trials = fraction * excess_chi_square
+    if strongest is not None and strongest.chi_square > max(gain_of_trials, LEAST_GAIN * excess_chi_square):
+        return strongest.cause, strongest.explanation
     # Some trials must be better by a factor, because they change more than others or resemble them: each
     # plane's shift instead of the two angles of the light, which shift all planes, and the lens's decenter,
     # which does so too.
     factor_of_cause = {"shift": 1.15, "mounting": 1.65}
+    # Trials that explain more than the whole search for the result are sure; others only converge faster.
+    least_square = (1.0 - LEAST_GAIN) * curve[-1] ** 2 if curve else 0.0
+    trials = [trial for trial in trials if trial.misfit**2 < least_square] or trials
     best = min(
         trials, key=lambda trial: trial.misfit_ratio * factor_of_cause.get(trial.cause, 1.0), default=None
     )
@@ -470,6 +512,9 @@ def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -
         return best.cause, evidence
     if wants_iterations(curve, excess):
         return "iterations", "the misfit was still falling"
+    strongest = max(findings, key=lambda one: one.chi_square, default=None)
+    if strongest is not None:
+        return strongest.cause, strongest.explanation
     evidence = "nothing else that was tried explains it" if trials else "nothing was tried"
     return "lens or light", evidence
 

@@ -177,6 +177,7 @@ def judge_result(
                 source=case.source,
                 stops=stop_search(case, settings, engine, progress),
                 stop=FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
+                misfit_of_result=curve[-1],
             ).trials()
     return judged(trials, undetected)
 

@@ -600,6 +600,11 @@ class FrameSetSettings(Settings):
     offset_counts: float | None = Field(None, description="Count of a dark pixel.")
     gain_electrons_per_count: float | None = Field(None, description="Gain of the sensor.")
     read_noise_electrons: float | None = Field(None, description="Read noise of the sensor.")
+    saturation_counts: int | None = Field(
+        None,
+        description="Lowest count of a pixel that may be clipped; default: the largest count, or one that "
+        "many of the brightest pixels share.",
+    )
     nonlinearity: float | None = Field(
         None,
         description="Relative increase of the light over that of a linear camera, at the largest count; "

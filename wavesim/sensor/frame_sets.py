@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from lensdesign.lens.lens import Lens
 from wavesim.runtime.threads import for_blocks, row_blocks
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import FrameSetSettings, SettingError
+from wavesim.sensor.camera_checks import clipping_counts, contradicts_black_level, dark_part
 from wavesim.sensor.camera_noise import SaturationWarning
 from wavesim.sensor.frames import Frame, read_frame
 from wavesim.sensor.measurement import Measurement, recorded_intensity
@@ -31,6 +32,7 @@ from wavesim.sensor.merged_exposures import (
     known_in,
     merged_intensity,
 )
+from wavesim.sensor.orientations import ORIENTATIONS
 from wavesim.sensor.pixels.bad_pixels import find_bad_pixels
 from wavesim.sensor.pixels.maps import PixelMaps, read_pixel_maps
 
@@ -117,14 +119,15 @@ def read_frames(
     Raises
     ------
     InputError
-        If a file cannot be read or is named twice, if a frame is empty, or if a plane is saturated in all of
-        its frames. Also if two frames differ in size, pitch or wavelength, if frames of one plane show
-        different pictures, or if there are not as many distances or exposures as frames.
+        If a file cannot be read or is named twice, if a frame is empty, if its darkest pixels contradict the
+        stated offset, or if a plane is saturated in all of its frames. Also if two frames differ in size,
+        pitch or wavelength, if frames of one plane show different pictures, or if there are not as many
+        distances or exposures as frames.
 
     Warns
     -----
     SaturationWarning
-        If a few pixels are clipped in all frames of a plane.
+        If a few pixels are clipped in all frames of a plane, or a frame is clipped below its largest count.
     BadPixelWarning, ExposureWarning
         If pixels are hot or dead, or exposures differ from the stated ones.
     AssumedWarning
@@ -151,6 +154,7 @@ def read_frames(
             raise InputError(f"{path}: is named twice: name each frame once")
     defaults = [dict(assumed or {}) | values for values in _assumed(len(paths), lens)]
     read = [read_frame(path, known, **own) for path, known, own in zip(paths, defaults, given, strict=True)]
+    read = [_with_clipping(path, frame) for path, frame in zip(paths, read, strict=True)]
     _check_consistent(paths, read)
     order = sorted(
         zip(paths, read, strict=True),
@@ -158,6 +162,7 @@ def read_frames(
     )
     ordered_paths = [path for path, _ in order]
     frames = _without_bad(_with_maps(ordered_paths, [frame for _, frame in order], settings))
+    _check_black_level(ordered_paths, frames)
     checked = []
     for _, group in groupby(
         zip(ordered_paths, frames, strict=True), key=lambda pair: pair[1].settings.plane_distance_mm
@@ -226,6 +231,43 @@ def read_colour_frames(
         }
         frames += read_frames([paths[n] for n in indices], settings.replaced(**own_lists), lens=lens)
     return tuple(frames)
+
+
+def _with_clipping(path: Path, frame: Frame) -> Frame:
+    """Return a frame with the count at which the camera has clipped it."""
+    clipped = clipping_counts(frame)
+    if clipped is None:
+        return frame
+    count, top = int(np.count_nonzero(frame.counts == clipped)), frame.settings.top_counts
+    warnings.warn(
+        f"{path}: {count} pixels share the largest count, {clipped} of {top}, as if the camera clips there: "
+        f"they count as saturated; state saturation_counts (--saturation-counts) {clipped}, or {top} if it "
+        "does not clip",
+        SaturationWarning,
+        stacklevel=3,
+    )
+    return replace(frame, settings=frame.settings.replaced(saturation_counts=clipped))
+
+
+def _check_black_level(paths: Sequence[Path], frames: Sequence[Frame]) -> None:
+    """Raise InputError if the darkest pixels of a frame contradict the stated black level."""
+    for path, frame in zip(paths, frames, strict=True):
+        dark = dark_part(frame)
+        if dark is None or not contradicts_black_level(frame, dark):
+            continue
+        own = frame.settings
+        noise = math.sqrt(dark.variance) / own.gain_electrons_per_count
+        relation = (
+            "less than without light"
+            if dark.electrons < 0.0
+            else "more than without light, yet without the noise of light"
+        )
+        raise SettingError(
+            f"{path}: {{offset_counts}} = {own.offset_counts:g}: the darkest tenth of the picture has a mean "
+            f"of {dark.counts:.5g} counts (standard deviation of a pixel {noise:.2g}), {relation}; give the "
+            f"black level, such as {{offset_counts}} {dark.counts:.4g}; if it is right, check "
+            "{gain_electrons_per_count} and {read_noise_electrons}"
+        )
 
 
 def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSetSettings) -> list[Frame]:
@@ -372,11 +414,48 @@ def _check_consistent(paths: Sequence[Path], frames: Sequence[Frame]) -> None:
 
 
 def _check_same_picture(shorter: tuple[Path, Frame], longer: tuple[Path, Frame]) -> None:
-    """Raise InputError if two frames that state one plane cannot be exposures of one intensity.
+    """Raise InputError if two frames that state one plane cannot be exposures of one intensity."""
+    (path, short), (other, long) = shorter, longer
+    difference = _difference(short, long)
+    if not difference.is_sure:
+        return
+    orientation = _better_orientation(short, long, difference)
+    if orientation or difference.excess > OTHER_PICTURE * difference.size:
+        raise InputError(
+            f"{path} and {other}: both state plane_distance_mm = {short.settings.plane_distance_mm:g}, but "
+            "show different intensities: frames of one plane must be exposures of the same light, of which "
+            f"each states its exposure{orientation or _dark_counts(short, long)}"
+        )
+
+
+class _Difference(NamedTuple):
+    """Difference of two exposures of a plane.
+
+    Attributes
+    ----------
+    excess : float
+        Sum of squared differences, less that of the noise.
+    deviation : float
+        Standard deviation of the excess due to noise.
+    size : float
+        Sum of squares of the larger signal.
+    """
+
+    excess: float
+    deviation: float
+    size: float
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether noise cannot be the difference."""
+        return self.excess > SURE * self.deviation
+
+
+def _difference(short: Frame, long: Frame) -> _Difference:
+    """Return the difference of two exposures of a plane.
 
     The comparison uses pixels that are not clipped in either, in electrons of the shorter exposure.
     """
-    (path, short), (other, long) = shorter, longer
     ratio = long.settings.exposure / short.settings.exposure
     excess = scatter = size = 0.0
     threshold = LEAST_SIGNAL * math.sqrt(fixed_variance(short))
@@ -394,12 +473,31 @@ def _check_same_picture(shorter: tuple[Path, Frame], longer: tuple[Path, Frame])
         excess += float(np.sum((one - two) ** 2 - noise))
         scatter += float(np.sum(2.0 * noise**2 + noise))
         size += float(np.sum(np.maximum(np.abs(one), np.abs(two)) ** 2))
-    if excess > SURE * math.sqrt(scatter) and excess > OTHER_PICTURE * size:
-        raise InputError(
-            f"{path} and {other}: both state plane_distance_mm = {short.settings.plane_distance_mm:g}, but "
-            "show different intensities: frames of one plane must be exposures of the same light, of which "
-            "each states its exposure"
-        )
+    return _Difference(excess, math.sqrt(scatter), size)
+
+
+def _better_orientation(short: Frame, long: Frame, stated: _Difference) -> str:
+    """Return that the second picture agrees with the first one in another orientation; empty if not."""
+    # Fraction of the stated orientation's difference, below which another one explains it.
+    explained = 0.1
+    for name, orientation in ORIENTATIONS.items():
+        counts = np.ascontiguousarray(orientation(long.counts))
+        if counts.shape != long.counts.shape:
+            continue
+        if _difference(short, replace(long, counts=counts)).excess < explained * stated.excess:
+            return f"; the second picture agrees with the first one if it is {name}"
+    return ""
+
+
+def _dark_counts(short: Frame, long: Frame) -> str:
+    """Return the counts of the darkest pixels of two pictures, to be added to a message."""
+    darkest = [part.counts for part in (dark_part(short), dark_part(long)) if part is not None]
+    if len(darkest) < 2:
+        return ""
+    return (
+        f"; their darkest pixels have {darkest[0]:.4g} and {darkest[1]:.4g} counts, and offset_counts states "
+        f"{short.settings.offset_counts:g}"
+    )
 
 
 def _check_saturation(plane: Sequence[tuple[Path, Frame]]) -> None:

@@ -2,13 +2,16 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+from places import GOLDEN
 from programs import Command
+from quick_verdicts import judge_quickly
 from wavesim_command import ENDED, PIXELS, PLANES_MM, frames_and_design
 
 from wavesim.forward import forward_model
@@ -356,6 +359,101 @@ def test_a_map_that_cannot_be_is_refused_and_nothing_overwritten(
     assert code == 2
     assert message in " ".join(err.split())
     assert [path.read_text() for path in out.iterdir()] == ["kept"]
+
+
+SMALL = GOLDEN / "small_frames"
+"""Two exposures on each of two planes, of a camera with a black level of 64 counts."""
+
+
+def small_frames(
+    folder: Path, change: Callable[[str, np.ndarray], np.ndarray] = lambda _, counts: counts
+) -> list[Path]:
+    """The frames, changed by a function of their name and counts."""
+    paths = []
+    for name in ("1_1", "1_2", "2_1", "2_2"):
+        counts = np.array(Image.open(SMALL / f"frame_{name}.tif"))
+        paths.append(folder / f"frame_{name}.tif")
+        Image.fromarray(np.ascontiguousarray(change(name, counts))).save(paths[-1])
+    return paths
+
+
+def small_options(offset: float = 64) -> tuple[object, ...]:
+    return (
+        "--design", SMALL / "twin.toml", "--patch-mm", 0.03, "--kind", "amplitude",
+        "--plane-distance-mm", "0.03125,0.03125,0.34375,0.34375",
+        "--exposure", "2895.9,86877.0,1694.005,50820.157", "--pixel-pitch-um", 3.2,
+        "--wavelength-um", 0.532, "--bits", 12, "--offset-counts", offset,
+        "--gain-electrons-per-count", 2.48077, "--read-noise-electrons", 2,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("offset", [60, 63, 65, 80])
+@pytest.mark.parametrize("exposures", [1, 2])
+def test_a_black_level_that_the_frames_contradict_is_named(
+    wavesim: Command, tmp_path: Path, offset: float, exposures: int
+) -> None:
+    paths, options = small_frames(tmp_path), small_options(offset)
+    if exposures == 1:
+        paths = [paths[0], paths[2]]
+        one = {"0.03125,0.03125,0.34375,0.34375": "0.03125,0.34375"}
+        one["2895.9,86877.0,1694.005,50820.157"] = "2895.9,1694.005"
+        options = tuple(one.get(str(part), part) for part in options)
+    code, _, err = wavesim("reconstruct", *paths, *options, "-o", tmp_path / "out")
+    assert code == 2
+    said = " ".join(err.split())
+    assert f"--offset-counts = {offset}: " in said
+    measured = re.search(r"mean of ([\d.]+) counts", said)
+    assert measured is not None
+    assert float(measured[1]) == pytest.approx(64.0, abs=0.2)
+    assert len(said) < 500
+
+
+def test_a_camera_that_clips_below_its_largest_count_is_seen(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    judge_quickly(monkeypatch)
+    paths = small_frames(tmp_path, lambda name, counts: np.minimum(counts, 4000))
+    out = tmp_path / "out"
+    code, _, err = wavesim("reconstruct", *paths, *small_options(), "-o", out)
+    assert code == 0, err
+    said = " ".join(err.split())
+    assert "47 pixels share the largest count, 4000 of 4095" in said
+    assert "(--saturation-counts) 4000" in said
+    assert json.loads((out / "reconstruction.json").read_text())["verdict"]["over_noise"] < 1.1
+    code, _, err = wavesim(
+        "reconstruct", *paths, *small_options(), "--saturation-counts", 4000, "--iterations", 1, "-o", out
+    )
+    assert code in ENDED, err
+    assert "share the largest count" not in err
+
+
+@pytest.mark.parametrize(
+    ("orientation", "named"),
+    [
+        (lambda counts: counts[::-1], "fits better mirrored top to bottom"),
+        (lambda counts: counts.T, "picture of plane 2 transposed"),
+    ],
+)
+def test_a_plane_in_another_orientation_is_named_in_the_printed_verdict(
+    wavesim: Command,
+    tmp_path: Path,
+    orientation: Callable[[np.ndarray], np.ndarray],
+    named: str,
+) -> None:
+    paths = small_frames(tmp_path, lambda name, counts: orientation(counts) if name[0] == "2" else counts)
+    code, out, err = wavesim("reconstruct", *paths, *small_options(), "-o", tmp_path / "out")
+    assert code == 1, err
+    assert named in " ".join(out.split())
+    verdict = json.loads((tmp_path / "out" / "reconstruction.json").read_text())["verdict"]
+    assert verdict["cause"] == "orientation"
+    assert named in verdict["told"]
+
+
+def test_one_exposure_in_another_orientation_is_named(wavesim: Command, tmp_path: Path) -> None:
+    paths = small_frames(tmp_path, lambda name, counts: counts[::-1] if name == "2_2" else counts)
+    code, _, err = wavesim("reconstruct", *paths, *small_options(), "-o", tmp_path / "out")
+    assert code == 2
+    assert "agrees with the first one if it is mirrored top to bottom" in " ".join(err.split())
 
 
 def test_frames_of_two_wavelengths_are_refused(wavesim: Command, data: Path, tmp_path: Path) -> None:

@@ -85,6 +85,20 @@ def test_trials_that_gain_little_name_nothing() -> None:
     assert found.cause == "lens or light"
 
 
+def test_the_finding_or_trial_that_explains_most_is_named() -> None:
+    """A trial explains as much of the chi-square as its misfit is below that of the result."""
+    wrong, size = plane(3.0), np.prod(SHAPE)
+    mirrored = Finding("orientation", "the picture of plane 1 fits better mirrored", 0.6 * 8.0 * size)
+    distance = "planes farther from each other"
+    slow, sure = Trial("distance", distance, 0.5, 0.4), Trial("distance", distance, 0.5, 0.1)
+    named = [verdict([wrong], [one], [1.0, 0.3], findings=[mirrored]) for one in (slow, sure)]
+    assert [one.cause for one in named] == ["orientation", "distance"]
+    for one in named:
+        assert mirrored.explanation in one.words
+    shifted = Finding("shift", "the picture of plane 1 fits better shifted", 500.0)
+    assert verdict([wrong], [Trial("light", "light tilted", 0.95)], findings=[shifted]).cause == "shift"
+
+
 def test_a_misfit_that_still_falls_asks_for_iterations() -> None:
     assert verdict([plane(3.0)], curve=[1.0, 0.8, 0.6, 0.5, 0.45]).cause == "iterations"
     assert verdict([plane(3.0)], curve=[0.5, 0.41, 0.41, 0.4, 0.4]).cause == "lens or light"

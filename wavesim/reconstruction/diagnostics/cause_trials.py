@@ -26,7 +26,6 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.metrics.goodness_of_fit import LEAST_GAIN, Trial
 from wavesim.metrics.low_orders import CURVATURE_ORDERS, PHASE_ORDERS, smooth_phase_waves
 from wavesim.reconstruction.diagnostics.bench_estimates import background, centroid, shift_pixels
-from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.object_solver import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.source_search import coherent_deg, coherent_nm, modes_on
@@ -34,11 +33,14 @@ from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import POINT, Source
 from wavesim.sensor.measurement import Array, Measurement, noise_misfit
+from wavesim.sensor.orientations import ORIENTATIONS
 
 Shifts = Sequence[tuple[float, float]]
 
-ITERATIONS, FREE_ITERATIONS = 6, 8
-"""Iterations of each trial, and of a complex object whose phase gives that of the light."""
+ITERATIONS, FREE_ITERATIONS, MOST_ITERATIONS = 6, 8, 20
+"""Iterations of each trial, of a complex object whose phase gives that of the light, and at most for trials
+of pictures that were mistaken.
+"""
 
 NOISE_RATIO, ENOUGH_GAIN = 1.5, 0.7
 """Misfit over that of noise that so few iterations reach with the right model, and fraction of the squared
@@ -101,6 +103,9 @@ class CauseTrials:
         Diversity of the planes (:func:`wavesim.sensor.windows.diversity`).
     stops, stop
         Search for another field stop, and the field stop of the light; default: no such trial.
+    misfit_of_result
+        Misfit of the result. Trials of pictures take so many iterations that a search without a change comes
+        near it; default: `ITERATIONS`.
     """
 
     engine: Engine
@@ -115,6 +120,7 @@ class CauseTrials:
     source: Source = POINT
     stops: StopSearch | None = None
     stop: FieldStop | None = None
+    misfit_of_result: float = math.inf
 
     def trials(self) -> list[Trial]:
         """Return all trials that were made, the best first."""
@@ -137,9 +143,26 @@ class CauseTrials:
     def _reference_misfit(self) -> float:
         return self._reconstructed(self._change("", "")).misfit[-1]
 
+    @cached_property
+    def _misfits_of_pictures(self) -> tuple[float, ...]:
+        """Misfits of a search without a change, until they are near that of the result."""
+        misfits = self._reconstructed(
+            self._change("", ""), iterations=MOST_ITERATIONS, bounded=self._is_bounded
+        ).misfit
+        # Ratio of misfits up to which a short search is near the result.
+        near = 1.03
+        reached = near * self.misfit_of_result
+        count = next((n for n, misfit in enumerate(misfits, start=1) if misfit <= reached), len(misfits))
+        return misfits[: max(count, ITERATIONS)]
+
+    @property
+    def _is_bounded(self) -> bool:
+        """Whether searches for mistaken pictures limit the amplitude to 1, as the scale allows."""
+        return self.scale is not None or self.kind != "amplitude"
+
     def _explains(self, trial: Trial) -> bool:
         noise = noise_misfit(self.recorded) or 0.0
-        at_noise = trial.misfit_ratio * self._reference_misfit <= NOISE_RATIO * noise
+        at_noise = trial.misfit <= NOISE_RATIO * noise
         return trial.gain > (LEAST_GAIN if at_noise else ENOUGH_GAIN)
 
     def _change(
@@ -162,7 +185,11 @@ class CauseTrials:
         )
 
     def _reconstructed(
-        self, change: Change, kind: Kind | None = None, iterations: int = ITERATIONS
+        self,
+        change: Change,
+        kind: Kind | None = None,
+        iterations: int = ITERATIONS,
+        bounded: bool = True,
     ) -> Reconstructed:
         return reconstruct(
             change.engine,
@@ -174,12 +201,21 @@ class CauseTrials:
             scale=self.scale,
             fill_factor=self.fill_factor,
             modes=modes_on(self.light, change.source),
+            bounded=bounded,
         )
 
     def _trial(self, change: Change) -> Trial:
-        return Trial(
-            change.cause, change.description, self._reconstructed(change).misfit[-1] / self._reference_misfit
-        )
+        misfit = self._reconstructed(change).misfit[-1]
+        return Trial(change.cause, change.description, misfit / self._reference_misfit, misfit)
+
+    def _trial_of_pictures(self, change: Change) -> Trial:
+        """Return a trial of pictures that were mistaken, with which a search must come near the noise.
+
+        Pictures that do not belong to each other hardly change the first iterations.
+        """
+        misfits = self._misfits_of_pictures
+        misfit = self._reconstructed(change, iterations=len(misfits), bounded=self._is_bounded).misfit[-1]
+        return Trial(change.cause, change.description, misfit / misfits[-1], misfit)
 
     def _swaps(self) -> Iterator[Trial]:
         """Yield trials in which two planes are exchanged."""
@@ -188,7 +224,7 @@ class CauseTrials:
             planes[i] = replace(planes[j], distance_mm=self.recorded[i].distance_mm)
             planes[j] = replace(self.recorded[i], distance_mm=self.recorded[j].distance_mm)
             description = f"planes {i + 1} and {j + 1} exchanged"
-            yield self._trial(self._change("planes swapped", description, recorded=planes))
+            yield self._trial_of_pictures(self._change("planes swapped", description, recorded=planes))
 
     def _orientations(self) -> Iterator[Trial]:
         """Yield trials in which a picture other than the first is mirrored or rotated."""
@@ -202,7 +238,7 @@ class CauseTrials:
                 planes = list(self.recorded)
                 planes[n] = replace(plane, amplitude=np.ascontiguousarray(amplitude), sigma=sigma)
                 description = f"picture of plane {n + 1} {name}"
-                yield self._trial(self._change("orientation", description, recorded=planes))
+                yield self._trial_of_pictures(self._change("orientation", description, recorded=planes))
 
     def _backgrounds(self) -> Iterator[Trial]:
         """Yield a trial in which light in dark parts of the result is subtracted from each plane."""

@@ -7,7 +7,7 @@ residuals decides; it is well known because it contains many pixels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,17 +15,7 @@ import numpy as np
 from wavesim.metrics.goodness_of_fit import Finding
 from wavesim.reconstruction.diagnostics.bench_estimates import shift_pixels
 from wavesim.sensor.measurement import Array, Measurement
-
-ORIENTATIONS: dict[str, Callable[[Any], Any]] = {
-    "mirrored left to right": lambda a: a[:, ::-1],
-    "mirrored top to bottom": lambda a: a[::-1],
-    "turned by 180°": lambda a: a[::-1, ::-1],
-    "turned by 90°": lambda a: a.T[::-1],
-    "turned by -90°": lambda a: a[::-1].T,
-    "transposed": lambda a: a.T,
-    "transposed and turned by 180°": lambda a: a[::-1, ::-1].T,
-}
-"""Orientations other than the stated one; pictures are cropped to a square."""
+from wavesim.sensor.orientations import ORIENTATIONS, square_part
 
 
 def orientation_findings(recorded: Sequence[Measurement], maps: Sequence[Array]) -> list[Finding]:
@@ -60,7 +50,7 @@ def orientation_findings(recorded: Sequence[Measurement], maps: Sequence[Array])
 def _best_orientation(plane: Measurement, error: Array) -> tuple[str, float]:
     """Return the best orientation other than the stated one, and its gain of chi-square."""
     amplitude, sigma, modelled = (
-        _square(values) for values in (plane.amplitude, plane.sigma, plane.amplitude + error)
+        square_part(values) for values in (plane.amplitude, plane.sigma, plane.amplitude + error)
     )
     gains = {
         name: _gain(amplitude, sigma, orientation(amplitude), orientation(sigma), modelled)
@@ -92,11 +82,3 @@ def _gain(amplitude: Array, sigma: Any, other: Array, other_sigma: Any, modelled
     variance = np.maximum(sigma, other_sigma).astype(float) ** 2
     difference = (amplitude - modelled).astype(float) ** 2 - (other - modelled).astype(float) ** 2
     return float(np.sum(difference / variance))  # infinite variances have no weight
-
-
-def _square(values: Any) -> Any:
-    """Return the middle square of a picture."""
-    rows, columns = values.shape
-    side = min(rows, columns)
-    top, left = (rows - side) // 2, (columns - side) // 2
-    return values[top : top + side, left : left + side]

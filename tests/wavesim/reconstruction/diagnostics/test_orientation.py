@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS, orientation_findings
+from wavesim.reconstruction.diagnostics.orientation import orientation_findings
 from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.orientations import ORIENTATIONS
 
 SHAPE = (90, 120)
 Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]]
