@@ -81,11 +81,11 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     call: Any = getattr(*step)
     taken: list[int] = []
 
-    def stopped(*args: Any) -> Any:
+    def stopped(*args: Any, **more: Any) -> Any:
         taken.append(1)
         if len(taken) > 3:
             raise KeyboardInterrupt
-        return call(*args)
+        return call(*args, **more)
 
     monkeypatch.setattr(*step, stopped)
     code, out, err = wavesim("reconstruct", *options, "-o", tmp_path / "cut")
@@ -93,9 +93,9 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     assert "interrupted after 3 of 7 iterations; run the same command again" in err
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["checkpoint.npz"]
 
-    def counted(*args: Any) -> Any:
+    def counted(*args: Any, **more: Any) -> Any:
         taken.append(1)
-        return call(*args)
+        return call(*args, **more)
 
     taken.clear()
     monkeypatch.setattr(*step, counted)
@@ -179,7 +179,7 @@ def bad_frame(data: Path, folder: Path, fault: str) -> Path:
         ("wavelength", "bad.tif: wavelength_um = 0.6"),
         ("plane", "both state plane_distance_mm = 0.0625, but show different intensities"),
         ("twice", "frame_1.tif: is named twice"),
-        ("corrupt", "bad.tif: damaged TIFF"),
+        ("corrupt", "bad.tif: is cut short"),
     ],
 )
 def test_bad_frames_are_one_message_status_two_and_nothing_written(
@@ -430,8 +430,8 @@ def test_a_camera_that_clips_below_its_largest_count_is_seen(
 @pytest.mark.parametrize(
     ("orientation", "named"),
     [
-        (lambda counts: counts[::-1], "fits better mirrored top to bottom"),
-        (lambda counts: counts.T, "picture of plane 2 transposed"),
+        (lambda counts: counts[::-1], "mirrored top to bottom"),
+        (lambda counts: counts.T, "transposed"),
     ],
 )
 def test_a_plane_in_another_orientation_is_named_in_the_printed_verdict(
