@@ -300,9 +300,7 @@ AC BC CC DC EC FC GC HC JC CUC COM XAN YAN XIM YIM XRI YRI LCM BIN UID CLS CUM T
 _IDLE = frozenset(_IDLE_WORDS.split())
 
 # Tolerances, compensators and their settings: DLF, DLR, DLT, DLN, DLX, DSX, BTX, TIR, IRR, CYN, CMP, ...
-_TOLERANCES = re.compile(
-    r"DL[A-Z]|DS[A-Z]|DT[A-Z]|DA[XYZK]|BT[A-Z]|CT[XY]|CY[DN]|TI[LR]|TR[XY]|ST[XYZ]|IRR|RSE|HOM|ROL|DIS|CMP|LTO|TOL|TOC"
-)
+_TOLERANCES = re.compile(r"DL[A-Z]|DS[A-Z]|BT[A-Z]|CY[DN]|TI[LR]|TR[XY]|IRR|RSE|HOM|ROL|DIS|CMP|TOL")
 
 # Solves and pickups. The file also holds their present values.
 _SOLVE_WORDS = """
