@@ -357,7 +357,8 @@ class Draft:
         if abs(difference.nd) > INDEX_REFUSED and not is_own:
             self.add_loss(
                 f"{name}: glass {material} has {difference.text}; more than {INDEX_REFUSED:g} is another "
-                "glass. Give the glass catalogue that the file uses (AGF), or correct the name or the record"
+                "glass, or the record is that of a former one. Correct the wrong one, or give the glass "
+                "catalogue that the file uses (AGF); --lossy uses the name"
             )
         elif is_foreign or abs(difference.nd) > INDEX_NOTED:
             self.add_remark(f"{name}: glass {material} has {difference.text}")

@@ -21,6 +21,8 @@ catalogue differ by less."""
 INDEX_REFUSED = 1e-3
 """Difference of nd from which an import needs --lossy: the coarsest tolerance class of ISO 12123 (NP100)."""
 
+_LINE_E_UM = 0.546074  # mercury; some designers enter the indices of this line
+
 _ABBE_NOTED = 0.02  # relative difference of the Abbe number that a note names
 
 
@@ -42,6 +44,8 @@ class IndexRecord:
         nd, vd = summary["nd"], summary["vd"]
         if nd is None:
             return None
+        if self.is_of_e_line(material, catalogs):
+            return get_material(material, catalogs).index(wavelength_um)
         difference = self.nd - nd
         is_constant = not isinstance(material, str)
         if self.vd and (vd or is_constant):
@@ -49,6 +53,15 @@ class IndexRecord:
             span = LINE_F_UM**-2 - LINE_C_UM**-2
             difference += slope * (wavelength_um**-2 - LINE_D_UM**-2) / span
         return float(get_material(material, catalogs).index(wavelength_um) + difference)
+
+    def is_of_e_line(self, material: str | float, catalogs: Sequence[Path]) -> bool:
+        """Return whether the record is the index of the material at the e line, not at the d line."""
+        found = get_material(material, catalogs)
+        shortest, longest = found.wavelength_range_um
+        if not shortest <= _LINE_E_UM < LINE_D_UM <= longest:
+            return False
+        at_d, at_e = (abs(found.index(w) - self.nd) for w in (LINE_D_UM, _LINE_E_UM))
+        return at_e <= INDEX_NOTED < at_d
 
 
 def is_d_line(wavelengths_um: Sequence[float]) -> bool:
@@ -64,7 +77,7 @@ class IndexDifference:
     Attributes
     ----------
     nd
-        Index at the d line by the data minus that of the record.
+        Index at the d line by the data minus that of the record; 0 if the record is that of the e line.
     text
         The difference in words: both values of nd, the index at the design wavelength, the Abbe numbers.
     """
@@ -100,6 +113,8 @@ def index_difference(
         return None
     if nd is None:
         return None
+    if record.is_of_e_line(material, catalogs):
+        return IndexDifference(0.0, f"index {record.nd:.6f} at the e line, as the file's index record states")
     text = f"nd {nd:.6f}, by the file's index record {record.nd:.6f} (difference {nd - record.nd:+.6f}"
     if at_wavelength is not None and wavelength_um is not None:
         text += f", about {found.index(wavelength_um) - at_wavelength:+.6f} at {wavelength_um:g} µm"

@@ -124,3 +124,14 @@ def test_a_tabulated_index_is_said(tmp_path: Path) -> None:
     glass = ("PMMA 0 0 1.491756 57.440791", "B270 0 0 1.5 40")
     remarks = read_zmx(edited(tmp_path, "pmma_misc.zmx", glass), SENSOR).remarks
     assert any("B270" in remark and "linearly" in remark for remark in remarks)
+
+
+def test_a_record_of_the_e_line_is_no_other_glass(tmp_path: Path) -> None:
+    """N-SF5 has nd 1.67271 and ne 1.67763 by its data sheet."""
+    glass = ("PMMA 0 0 1.491756 57.440791", "N-SF5 0 0 1.67763 32.00")
+    imported = read_zmx(edited(tmp_path, "pmma_misc.zmx", glass), SENSOR)
+    assert imported.dropped == ()
+    assert not numbers(imported.remarks, "focal length")
+    other = (glass[0], "N-SF5 0 0 1.6752 32.00")
+    with pytest.raises(LossyImportError, match="N-SF5"):
+        read_zmx(edited(tmp_path, "pmma_misc.zmx", other), SENSOR)
