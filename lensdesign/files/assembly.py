@@ -109,7 +109,9 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         _first_given(row.glass_semi_diameter_mm, row.semi_diameter_mm, row.automatic_mm) for row in rows[1:-1]
     )
     rows, filled = _with_stop(rows, draft, values, catalogs, requested)
+    stop_mm = rows[1 + _stop(rows)].semi_diameter_mm
     rows = _without_crossings(rows, draft, values, catalogs)
+    filled = filled and rows[1 + _stop(rows)].semi_diameter_mm == stop_mm  # a crossing may clip the stop
     if draft.dropped and not lossy:
         raise LossyImportError(source, list(draft.dropped))
     surfaces = _surfaces(rows, draft)

@@ -106,3 +106,12 @@ def test_a_stop_within_the_sag_of_a_surface_is_its_aperture(tmp_path: Path) -> N
     assert found.lens.object.working_distance_mm == pytest.approx(100.0)
     assert found.lens.stop_index == 0
     assert len(found.lens.surfaces) == 4
+
+
+def test_a_crossing_may_clip_the_stop(tmp_path: Path) -> None:
+    text = CROSSING.replace("ENPD 5", "ENPD 8").replace("  STOP\n", "")
+    text = text.replace("SURF 2\n", "SURF 2\n  STOP\n")
+    found = read_zmx(saved(tmp_path, text), SENSOR, lossy=True)
+    assert found.lens.stop_index == 1
+    assert found.lens.stop_semi_diameter_mm < 3.17
+    assert any("cross" in loss for loss in found.dropped)
