@@ -35,6 +35,7 @@ SCRIPTS = (
     "broad_light",
     "polarized_frames",
     "reconstruction",
+    "perfect_benches",
     "colours",
     "cover_glass",
     "iterations",

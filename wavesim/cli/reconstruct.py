@@ -431,6 +431,12 @@ def _summary_lines(summary: dict[str, Any]) -> list[str]:
         )
     if "engine_replaced" in summary:
         lines.append(summary["engine_replaced"]["words"])
+    if not summary.get("scale_is_determined", True):
+        unit = "brightest parts count" if summary["kind"] == "amplitude" else "mean brightness counts"
+        lines.append(
+            f"scale {summary['scale']:.4g}: not determined by the frames; the object's {unit} as 1 "
+            "(state --scale if it is known)"
+        )
     source = Source(summary.get("source_deg", 0.0), summary.get("bandwidth_nm", 0.0))
     deviations = {"width_deg": "source_deg_deviation", "bandwidth_nm": "bandwidth_nm_deviation"}
     lines += source.lines({name: summary[key] for name, key in deviations.items() if key in summary})

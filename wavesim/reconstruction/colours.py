@@ -53,6 +53,7 @@ from wavesim.reconstruction.object_solver import (
     ProximalDescent,
     SolverState,
 )
+from wavesim.reconstruction.prior_bias import LEAST_FACTOR, may_be_biased
 from wavesim.reconstruction.problem import validate_frames
 from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop
 from wavesim.reconstruction.total_variation import prox_tv
@@ -670,7 +671,18 @@ class _Search:
             first = (start.real if dtype == model.real else start).astype(dtype)
         first *= model.lit
         state = SolverState(first, first, 0.0, (), known, 0, 0)
-        return descent.run(state, stages), descent
+        state, factor = descent.run(state, stages), 1.0
+        noise = noise_misfit(recorded) if descent.noise_at_scale_1 is not None else None
+        while (
+            kind == "amplitude"
+            and factor > LEAST_FACTOR
+            and len(state.misfit) < most
+            and may_be_biased(state.misfit[-1], noise)
+        ):
+            factor *= 0.5
+            again = replace(state, ahead=state.transmission, momentum=0.0, began=len(state.misfit))
+            state = replace(descent, noise_at_scale_1=factor * mean).run(again, stages)
+        return state, descent
 
 
 class FilmProjection:

@@ -16,8 +16,10 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.eikonal.on_cluster import tiles_in
 from wavesim.fields.field import Field, Grid
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR, GoodnessOfFit
 from wavesim.metrics.result_quality import truth_metrics
+from wavesim.reconstruction.amplitude_limit import with_own_limit
 from wavesim.reconstruction.assessment import (
     EngineOn,
     MethodResult,
@@ -45,6 +47,7 @@ from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
 from wavesim.reconstruction.growing_aperture import STAGES, with_growing_aperture
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
+from wavesim.reconstruction.prior_bias import with_less_bias
 from wavesim.reconstruction.problem import (
     ReconstructionProblem,
     keeps_engine,
@@ -61,7 +64,7 @@ from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.measurement import Measurement, noise_misfit
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import imaging_engine
 from wavesim.targets.patch import transmission_of
@@ -400,21 +403,22 @@ def _find_object(
             found = _solve(
                 case, settings, engine, reporter, first, checkpoint, initial.pop() if initial else None
             )
-            if not curve and may_be_stagnated(case, settings, found):
-                found = _leave_local_minimum(case, settings, engine, reporter, first, found)
-            maps = found.residual_maps
-            if len(maps) < len(case.recorded):
-                maps = residual_maps_of(
-                    engine, case.light, case.recorded, settings.fill_factor, found, case.modes
-                )
+            found = _with_own_limit(case, settings, engine, reporter, found)
+            judged = _with_less_bias(case, settings, engine, reporter, found)
+            if not curve and may_be_stagnated(case, settings, judged):
+                found, judged = _leave_local_minimum(case, settings, engine, reporter, first, found, judged)
+            maps = _maps_of_all_planes(case, settings, engine, judged)
             curve += found.misfit
-            is_limited = is_engine_limited(case, maps, found.misfit[-1])
+            is_limited = is_engine_limited(case, maps, judged.misfit[-1])
             accurate = more_accurate_case(case, reporter.step) if is_limited else None
             if accurate is None or keeps_engine(settings):
-                result = _method_result(case, settings, found, maps, curve, replaced)
+                shown = maps if judged is found else _maps_of_all_planes(case, settings, engine, found)
+                result = _method_result(case, settings, found, shown, curve, replaced)
                 on_search_end(case, result)
+                if judged is not found:
+                    result = result._replace(residual_maps=maps, whole=judged.transmission)
                 if accurate is not None:
-                    errors = engine_errors(accurate, case, settings, found, maps)
+                    errors = engine_errors(accurate, case, settings, judged, maps)
                     result = result._replace(engine_errors=errors)
                 elif is_limited and not replaced:  # a wrong bench must not pass because the engine changed
                     model_error = math.hypot(MODEL_ERROR, case.predicted_error / SAFETY)
@@ -434,6 +438,15 @@ def _find_object(
         case, first, checkpoint = accurate, found.transmission, None
 
 
+def _maps_of_all_planes(
+    case: ReconstructionProblem, settings: ReconstructionSettings, engine: Engine, found: Reconstructed
+) -> tuple[Array, ...]:
+    """Return the residual maps of an object, also on a plane that is held out."""
+    if len(found.residual_maps) == len(case.recorded):
+        return found.residual_maps
+    return residual_maps_of(engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
+
+
 def _method_result(
     case: ReconstructionProblem,
     settings: ReconstructionSettings,
@@ -445,6 +458,7 @@ def _method_result(
     """Return the object of a search, or the field behind it that is to be refocused."""
     of_method: dict[str, Any] = {
         "scale": found.scale,
+        "scale_is_determined": settings.scale is not None or settings.kind == "phase",
         "misfit": found.misfit[-1],
         "stopped_because": found.stopped_because,
     }
@@ -484,6 +498,8 @@ def _solve(
     bounded: bool = True,
     given: Sequence[Measurement] = (),
     iterations: int | None = None,
+    scale: float | None = None,
+    tv_factor: float = 1.0,
 ) -> Reconstructed:
     """Return the object that iterations with one engine find, by default from all pixels of the case."""
     return reconstruct(
@@ -494,7 +510,7 @@ def _solve(
         tv_weight=settings.tv_weight,
         iterations=iterations or settings.most_iterations,
         until_noise=True,
-        scale=settings.scale,
+        scale=settings.scale if scale is None else scale,
         start=start,
         fill_factor=settings.fill_factor,
         progress=reporter.iteration,
@@ -503,7 +519,60 @@ def _solve(
         scratch=case.scratch,
         modes=case.modes,
         bounded=bounded,
+        tv_factor=tv_factor,
     )
+
+
+def _with_own_limit(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    reporter: ProgressReporter,
+    found: Reconstructed,
+) -> Reconstructed:
+    """Return an amplitude object of unknown scale whose brightest parts are 1.
+
+    On a whole field, the scale remains that of an object that is bright everywhere.
+    """
+    if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
+        return found
+    reporter.step("brightest parts of the object")
+    model = ForwardModel(engine, case.light, case.given, 1.0, settings.fill_factor, modes=case.modes)
+    noise_of_step = model.noise_of_step()
+    del model
+
+    def solve(start: Field, scale: float, *, bounded: bool, iterations: int | None = None) -> Reconstructed:
+        return _solve(
+            case, settings, engine, reporter, start, bounded=bounded, iterations=iterations, scale=scale
+        )
+
+    return with_own_limit(solve, found, case.light, noise_of_step)
+
+
+def _with_less_bias(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    reporter: ProgressReporter,
+    found: Reconstructed,
+) -> Reconstructed:
+    """Return the object that is judged: less biased by the total variation, if that may matter.
+
+    A complex object is judged itself: its unknowns are so many that with less total variation they would fit
+    the errors of a wrong bench.
+    """
+    is_automatic = settings.tv_weight == "auto"
+    if settings.kind == "complex" or not is_automatic or isinstance(case.engine, Tiled):
+        return found
+
+    def solve(start: Field, scale: float, factor: float, iterations: int) -> Reconstructed:
+        reporter.step(f"for the verdict, with {factor:g} of the total variation")
+        own = None if settings.kind == "phase" and settings.scale is None else scale
+        return _solve(
+            case, settings, engine, reporter, start, iterations=iterations, scale=own, tv_factor=factor
+        )
+
+    return with_less_bias(solve, found, noise_misfit(case.given), settings.most_iterations)
 
 
 def _leave_local_minimum(
@@ -513,26 +582,28 @@ def _leave_local_minimum(
     reporter: ProgressReporter,
     start: Field | Literal["amplitude"] | None,
     found: Reconstructed,
-) -> Reconstructed:
+    judged: Reconstructed,
+) -> tuple[Reconstructed, Reconstructed]:
     """Return the best of the object found and those of other searches: without an upper limit of the
-    amplitude, and with a growing aperture.
+    amplitude, and with a growing aperture. The second object is the one that is judged.
 
     Nothing is searched once an object leaves no more than the noise. The limit of 1 may be too low where the
     scale is fitted to an object that is bright everywhere.
     """
-    excess = excess_of(case, found.residual_maps)
+    excess = excess_of(case, judged.residual_maps)
     searches = [partial(_solve_with_growing_aperture, case, settings, engine, reporter)]
     if settings.scale is None and settings.kind == "amplitude":
         searches = [partial(_solve, case, settings, engine, reporter, start, bounded=False), *searches]
     for search in searches:
         if excess <= 1.0:
             break
-        other = search()
-        other_excess = excess_of(case, other.residual_maps)
+        other = _with_own_limit(case, settings, engine, reporter, search())
+        other_judged = _with_less_bias(case, settings, engine, reporter, other)
+        other_excess = excess_of(case, other_judged.residual_maps)
         # The result of another search is preferred only if its residuals are clearly smaller.
         if other_excess < 0.97 * excess:
-            found, excess = other, other_excess
-    return found
+            found, judged, excess = other, other_judged, other_excess
+    return found, judged
 
 
 def _solve_with_growing_aperture(

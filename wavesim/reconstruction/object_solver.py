@@ -39,7 +39,7 @@ from wavesim.forward.colour_model import ColourModel
 from wavesim.forward.exit_field import ROWS
 from wavesim.forward.forward_model import ForwardModel, Step
 from wavesim.reconstruction.phase_retrieval import validate_planes
-from wavesim.reconstruction.stop_rule import AT_NOISE, FAR, STOPPED, Stop, stop_reason
+from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop, stop_reason
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Grids, Operator
@@ -61,16 +61,6 @@ residuals that the model does not explain yet carry no detail.
 
 STEP, FRICTION = 1.3, 1.0
 """Length of a step, and a constant that limits the momentum: after j steps it is j / (j + `FRICTION`)."""
-
-LARGEST_BIAS, LEAST_TV_FACTOR = 2.0, 0.125
-"""Misfit over that of noise up to which a converged misfit may be due to the total variation, whose weight is
-then halved (discrepancy principle), and the smallest factor that results.
-
-The total variation reduces the contrast of fine detail, which long exposures measure far more precisely than
-the weight assumes. A larger misfit has other causes, against whose errors the total variation helps. A
-complex object keeps the weight: its unknowns are so many that with less of it they would fit the errors of a
-wrong bench.
-"""
 
 INNER_ITERATIONS, INNER_STEP_FACTOR = 4, 2.0
 """Inner iterations of a step, and the factor by which they lengthen it and its total variation.
@@ -139,10 +129,7 @@ class SolverState:
     scale : float or None
         Measured amplitude per unit of the modelled amplitude; None before it is known.
     stage, began : int
-        Index of the current stage (kind of object that is sought), and number of iterations before it, or
-        before the last change of the total variation.
-    tv_factor : float
-        Factor of the automatic weight of the total variation.
+        Index of the current stage (kind of object that is sought), and number of iterations before it.
     """
 
     transmission: Array
@@ -152,7 +139,6 @@ class SolverState:
     scale: float | None
     stage: int
     began: int
-    tv_factor: float = 1.0
 
 
 def reconstruct(
@@ -176,6 +162,7 @@ def reconstruct(
     residuals: bool = True,
     inner_iterations: int = INNER_ITERATIONS,
     bounded: bool = True,
+    tv_factor: float = 1.0,
 ) -> Reconstructed:
     """Find the transmission of the object behind measured amplitudes.
 
@@ -199,9 +186,7 @@ def reconstruct(
     tv_weight
         Weight of the total variation, for transmissions of order 1; 0 disables it. With "auto" the weight is
         `TV_PER_NOISE` times the noise of a step, times the ratio of the misfit to that of noise alone. The
-        noise of a step follows from `sigma` of all planes. With `until_noise` and an amplitude object the
-        weight is halved, down to an eighth, where the misfit converges above that of noise, but below twice
-        of it.
+        noise of a step follows from `sigma` of all planes.
     iterations
         Largest number of iterations; fewer are made where the misfit converges.
     until_noise
@@ -238,6 +223,8 @@ def reconstruct(
     bounded
         Whether the amplitude is limited to 1. The fit of an unknown scale assumes an object that is bright
         everywhere. Bright parts of an object on a dark ground may then have to exceed 1: use False.
+    tv_factor
+        Factor of an automatic weight of the total variation.
 
     Returns
     -------
@@ -293,7 +280,7 @@ def reconstruct(
         modes,
         rows,
     )
-    weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
+    weight, noise = (0.0, tv_factor * model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
     descent = ProximalDescent(
         model,
         weight,
@@ -370,9 +357,7 @@ class ProximalDescent:
                 del now
             while len(state.misfit) < until:
                 if self.stop(state) is not None:
-                    if stages[-1][0] == "complex" or not self._may_be_biased(state):
-                        break
-                    state = _with_half_total_variation(state)
+                    break
                 state = self._next_state(state, kind)
                 if self.progress is not None:
                     self.progress(len(state.misfit) - 1, state.misfit[-1])
@@ -391,7 +376,7 @@ class ProximalDescent:
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         is_far = self._is_far(state)
         point, misfit, scale = self._gradient_step(state, kind, self.inner_iterations if is_far else 1)
-        weight = state.tv_factor * self._tv_weight(misfit, scale)
+        weight = self._tv_weight(misfit, scale)
         point = self.prox(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * weight)
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
@@ -414,13 +399,6 @@ class ProximalDescent:
             misfit=(*state.misfit, misfit),
             scale=scale,
         )
-
-    def _may_be_biased(self, state: SolverState) -> bool:
-        """Return whether an automatic total variation may cause the misfit that a converged search leaves."""
-        if not self.until_noise or self.noise_at_scale_1 is None or self.misfit_of_noise is None:
-            return False
-        over = state.misfit[-1] / self.misfit_of_noise
-        return AT_NOISE < over < LARGEST_BIAS and state.tv_factor > LEAST_TV_FACTOR
 
     def _is_far(self, state: SolverState) -> bool:
         """Return whether the misfit is clearly above that of noise, or the noise is unknown.
@@ -458,17 +436,6 @@ class ProximalDescent:
         """Return the reason to stop, or None if iterations continue."""
         noise = self.misfit_of_noise if self.until_noise else None
         return stop_reason(state.misfit[state.began :], noise)
-
-
-def _with_half_total_variation(state: SolverState) -> SolverState:
-    """Return the state from which the search starts again with half of the total variation's weight."""
-    return replace(
-        state,
-        ahead=state.transmission,
-        momentum=0.0,
-        began=len(state.misfit),
-        tv_factor=0.5 * state.tv_factor,
-    )
 
 
 def _project_on_unit_circle(values: Array) -> None:

@@ -57,7 +57,6 @@ def saved_state(checkpoint: Checkpoint | None, scratch: Scratch) -> SolverState 
         float(saved["scale"]),
         int(saved["stage"]),
         int(saved["began"]),
-        float(saved.get("tv_factor", 1.0)),
     )
 
 

@@ -2,8 +2,7 @@
 
 Iterations end at the noise once the misfit is no more than `AT_NOISE` times that of noise alone (discrepancy
 principle), and hardly falls any more. Slowly converging parts, such as smooth phase, still improve there as
-long as the misfit falls. The solver may then continue with a smaller weight of the total variation
-(:func:`wavesim.reconstruct`).
+long as the misfit falls.
 """
 
 from __future__ import annotations

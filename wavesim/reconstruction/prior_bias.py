@@ -1,0 +1,68 @@
+"""Object with less bias of the total variation, by which a result is judged.
+
+The total variation reduces the contrast of fine detail, which long exposures measure far more precisely than
+its automatic weight assumes. Its iterations then converge above the misfit of noise although the object is
+right, and what they leave resembles a displaced bench. A judged copy of the object therefore continues with
+half of the weight, up to three times, until the misfit is that of noise (discrepancy principle). The copy
+fits more noise than the object. It serves the verdict alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+from wavesim.fields.field import Field
+from wavesim.reconstruction.object_solver import Reconstructed
+from wavesim.reconstruction.stop_rule import AT_NOISE
+
+LARGEST_BIAS, LEAST_FACTOR = 2.0, 0.125
+"""Misfit over that of noise up to which the total variation may be its cause, and the smallest
+factor of its weight. A larger misfit has other causes.
+"""
+
+
+class WeightedSolver(Protocol):
+    """Continues the search from a start, with a factor of the total variation's weight and an upper limit of
+    the iterations.
+    """
+
+    def __call__(self, start: Field, scale: float, factor: float, iterations: int) -> Reconstructed: ...
+
+
+def with_less_bias(
+    solve: WeightedSolver, found: Reconstructed, misfit_of_noise: float | None, iterations: int
+) -> Reconstructed:
+    """Return the object that is judged in place of the one found.
+
+    Parameters
+    ----------
+    solve
+        Continues the search.
+    found
+        The object found, with an automatic weight of the total variation.
+    misfit_of_noise
+        Misfit of noise alone (:func:`wavesim.sensor.measurement.noise_misfit`); None if it is not known.
+    iterations
+        Largest number of all iterations, with those that found the object.
+
+    Returns
+    -------
+    Reconstructed
+        The object itself if its misfit is that of noise, if it is far above, or if no iterations are left.
+    """
+    factor, judged = 1.0, found
+    while factor > LEAST_FACTOR and may_be_biased(judged.misfit[-1], misfit_of_noise):
+        left = iterations - len(judged.misfit)
+        if left <= 0 or judged.stopped_because == "iterations":
+            break
+        factor *= 0.5
+        before = judged.misfit
+        judged = solve(judged.transmission, judged.scale, factor, left)
+        judged = replace(judged, misfit=before + judged.misfit)
+    return judged
+
+
+def may_be_biased(misfit: float, misfit_of_noise: float | None) -> bool:
+    """Return whether an automatic total variation may cause the misfit that a converged search leaves."""
+    return misfit_of_noise is not None and AT_NOISE < misfit / misfit_of_noise < LARGEST_BIAS
