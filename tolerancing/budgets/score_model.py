@@ -1,9 +1,10 @@
 """Scores of drawn lenses as functions of the scales of a study's tolerances, with derivatives.
 
 Wavefront and ray merits follow to first order from the derivatives of the nominal lens's rays
-(:mod:`tolerancing.prediction`). Other merits follow from a response surface fitted to trials, with the
-residuals of the fit as scatter. Trials of the lens itself correct the errors of the model
-(:mod:`tolerancing.budgets.study_budget`).
+(:mod:`tolerancing.prediction`), and losses of reconstructions from :mod:`tolerancing.budgets.loss_surface`.
+Other merits follow from a response surface fitted to trials. The residuals of the fit are its scatter: they
+are of higher order in the deviations, and shrink with the deviations on which the merit depends. Trials of
+the lens itself correct the errors of the model (:mod:`tolerancing.budgets.study_budget`).
 """
 
 from __future__ import annotations
@@ -15,10 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from tolerancing.budgets.loss_surface import FITTED_LENSES, fit_loss_surface
+from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import RmsWaves, Strehl
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.prediction.sensor_ray_derivatives import ArrivalDifferentials, arrival_differentials
 from tolerancing.prediction.system import amounts_of, columns_of
@@ -34,6 +39,13 @@ from tolerancing.study.study import Study
 
 PROBES, PROBE_SCALES, EXTREME_RAYS = 512, (0.5, 1.0, 2.0), 3
 """Number of probe lenses, scales of their deviations, and number of longest rays retained for each probe."""
+
+FITTED_SCALES = (0.25, 1.2)
+"""Range of the common scale of the deviations of lenses to which losses are fitted."""
+
+POOR_FIT, SELDOM = 0.5, 0.01
+"""A response surface that explains less of the variance of new trials is poor; merits that fewer trials miss
+need none that is better."""
 
 
 class _MeritModel(Protocol):
@@ -150,18 +162,64 @@ class StudyScoreModel:
         self._deviations = amounts_of(self.batch) - self._base
         self._of_change = np.repeat(np.arange(len(columns)), [own.stop - own.start for own in columns])
         probes = [self._base + scale * self._deviations[:PROBES] for scale in PROBE_SCALES]
-        self._merit_models = _merit_models(lens, study, np.concatenate(probes))
+        self._merit_models = _merit_models(lens, study, np.concatenate(probes), self._fitted_amounts)
         self.not_predicted = [k for k, own in enumerate(self._merit_models) if own is None]
         self._response: Response | None = None
         self._residuals = np.zeros((1, len(self.not_predicted)))
+        self._sizes = np.ones((1, len(self.not_predicted)))
         if self.not_predicted:
             self.fit(values, scores)
+            self._check_fit(scores)
 
     def fit(self, values: Array, scores: Array) -> None:
-        """Fit the response surfaces of the merits that are not predicted to trials."""
+        """Fit the response surfaces of the merits that are not predicted to trials.
+
+        Raises
+        ------
+        InputError
+            If there are too few trials.
+        """
         own = scores[:, self.not_predicted]
-        self._response = fit_response(values, own)
+        try:
+            self._response = fit_response(values, own)
+        except InputError as error:
+            names = ", ".join(merit.label for merit in self._responding)
+            raise InputError(
+                f"{len(values)} trials are too few for a model of {names}: {error}; run more trials into the "
+                "store (tolerancing run --trials)"
+            ) from None
         self._residuals = np.nan_to_num(own - self._response.predict(values))
+        self._sizes = self._response.sizes(values)[0]
+
+    @property
+    def _responding(self) -> tuple[Merit, ...]:
+        return tuple(self.study.merits[k] for k in self.not_predicted)
+
+    def _check_fit(self, scores: Array) -> None:
+        """Refuse a model that is poor for a merit that decides whether lenses are good."""
+        assert self._response is not None
+        explained = self._response.cross_validated_r_squared
+        for k, merit, r_squared in zip(self.not_predicted, self._responding, explained, strict=True):
+            missed = 1.0 - float(np.mean(merit.passed(scores[:, k])))
+            if missed > SELDOM and r_squared < POOR_FIT:
+                raise InputError(
+                    f"merit {merit.label!r}: the model fitted to {len(scores)} trials explains "
+                    f"{max(r_squared, 0.0):.0%} of its variance (needed: {POOR_FIT:.0%}), "
+                    "so tolerances found by it would not be the cheapest; run more trials into the "
+                    "store (tolerancing run --trials), or begin from a study whose tolerances are closer to "
+                    "the yield"
+                )
+
+    @property
+    def _fitted_amounts(self) -> Array:
+        """Lenses to which losses are fitted: each tolerance is scaled by a common and an own factor."""
+        count, tolerances = min(FITTED_LENSES, len(self._deviations)), len(self._starts)
+        rng = np.random.default_rng(0)
+        low, high = (float(np.log(scale)) for scale in FITTED_SCALES)
+        common = rng.uniform(low, high, (count, 1))
+        own_spread = 0.5
+        scales = np.exp(common + own_spread * rng.standard_normal((count, tolerances)))
+        return np.asarray(self._base + scales[:, self._of_change] * self._deviations[:count])
 
     def scores(self, scales: Array) -> Array:
         """Return the scores, shape (draws, merits)."""
@@ -181,13 +239,8 @@ class StudyScoreModel:
                 scores[:, k], by = model.slopes(amounts)
                 slopes[:, k] = np.add.reduceat(by * self._deviations, self._starts, axis=1)
         if self.not_predicted:
-            scores[:, self.not_predicted] = nominal = self._responses(self._values(scales))
-            relative_step = 1e-4
-            for j in range(len(scales)):
-                changed = scales.copy()
-                changed[j] *= 1.0 + relative_step
-                change = self._responses(self._values(changed)) - nominal
-                slopes[:, self.not_predicted, j] = change / (relative_step * scales[j])
+            scores[:, self.not_predicted], by = self._responses(self._values(scales))
+            slopes[:, self.not_predicted] = by * (self.batch.values - self._centre)[:, None]
         return scores, slopes
 
     def _amounts(self, scales: Array) -> Array:
@@ -202,18 +255,27 @@ class StudyScoreModel:
             if model is not None:
                 scores[:, k] = model.scores(amounts)
         if self.not_predicted:
-            scores[:, self.not_predicted] = self._responses(values)
+            scores[:, self.not_predicted] = self._responses(values)[0]
         return scores
 
-    def _responses(self, values: Array) -> Array:
-        """Return the scores by the response surfaces, each lens with the residual of one random trial."""
+    def _responses(self, values: Array) -> tuple[Array, Array]:
+        """Return scores by the response surfaces and derivatives by the deviations, (n, m) and (n, m, d).
+
+        Each lens has the residual of one random trial, times the square of its deviations relative to those
+        of the trial, but at most once.
+        """
         assert self._response is not None  # there are merits that are not predicted
         rng = np.random.default_rng(0)
         which: NDArray[np.intp] = rng.integers(len(self._residuals), size=len(values))
-        return self._response.predict(values) + self._residuals[which]
+        sizes, by = self._response.sizes(values)
+        trial_sizes, residuals = np.maximum(self._sizes[which], 1e-30), self._residuals[which]
+        shrink = np.minimum(sizes / trial_sizes, 1.0)
+        steepness = np.where(shrink < 1.0, residuals / trial_sizes, 0.0)
+        slopes = self._response.slopes(values) + steepness[..., None] * by
+        return self._response.predict(values) + shrink * residuals, slopes
 
 
-def _merit_models(lens: Lens, study: Study, probes: Array) -> list[_MeritModel | None]:
+def _merit_models(lens: Lens, study: Study, probes: Array, fitted_amounts: Array) -> list[_MeritModel | None]:
     """Return a model of each merit; None for merits that cannot be predicted."""
     models: list[_MeritModel | None] = []
     context = Context(lens, study.sampling, pivot_z_mm=study.pivot_z_mm)
@@ -223,6 +285,8 @@ def _merit_models(lens: Lens, study: Study, probes: Array) -> list[_MeritModel |
         elif isinstance(merit, LargestSpread | FootprintRadius):
             ray = _extreme_ray(lens, study, merit, context)
             models.append(ray.of_possible_extremes(probes))
+        elif isinstance(merit, ReconstructionLoss):
+            models.append(fit_loss_surface(lens, study, merit, fitted_amounts))
         else:
             models.append(None)
     return models

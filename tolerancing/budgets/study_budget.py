@@ -57,6 +57,8 @@ class StudyBudget:
         error; None if not all trials were scored.
     required
         The required yield.
+    yield_before
+        Yield of the trials from which the search started, with the tolerances of the study; None without any.
 
     Examples
     --------
@@ -78,6 +80,7 @@ class StudyBudget:
     estimated_yield: float | None
     estimated_yield_error: float | None
     required: float
+    yield_before: Yield | None
 
     @property
     def agrees(self) -> bool:
@@ -273,15 +276,17 @@ class _Rounds:
         self.lens, self.study, self.required, self.costs, self.fresh = lens, study, required, costs, fresh
         self.progress, self.scored = progress, 0
         self.verifications: list[_Verification] = []
+        self.before: Yield | None = None
 
     def run(self, values: Array, scores: Array) -> StudyBudget:
         """Search and verify until trials and requirement agree."""
         found: StudyBudget | None = None
+        self.before = yield_of(self.good(scores))
         try:
             self.report_progress(0)
             model = StudyScoreModel(self.lens, self.study, values, scores)
             for index in range(MOST_ROUNDS):
-                if found is not None and model.not_predicted and index >= MODEL_ROUNDS:
+                if found is not None and index >= MODEL_ROUNDS and self.is_inaccurate(model):
                     candidate = self.scale_by_trials(model, found.budget)
                 else:
                     candidate = self.search(model)
@@ -302,12 +307,24 @@ class _Rounds:
     def correction(self, model: StudyScoreModel) -> float:
         """Return the yield of the lens minus that of the model on the verification trials.
 
-        A response surface is most accurate near its tolerances, so only the last round counts for it.
+        The difference changes with the tolerances: rounds with tolerances like those of the last one count.
         """
-        rounds = self.verifications[-1:] if model.not_predicted else self.verifications
-        if not rounds:
-            return 0.0
-        return float(np.mean([np.mean(one.passed) - np.mean(self.modelled(model, one)) for one in rounds]))
+        return float(np.mean(self.differences(model))) if self.verifications else 0.0
+
+    def differences(self, model: StudyScoreModel) -> Array:
+        """Return for each trial of rounds like the last one: is it good, minus is it good by the model."""
+        last, alike = self.verifications[-1], 1.25
+        rounds = [
+            one
+            for one in self.verifications
+            if np.all(np.abs(np.log(one.scales / last.scales)) < np.log(alike))
+        ]
+        return np.concatenate([one.passed.astype(float) - self.modelled(model, one) for one in rounds])
+
+    def is_inaccurate(self, model: StudyScoreModel) -> bool:
+        """Return whether a response surface errs about too many trials of the last rounds."""
+        most_errors = 0.1
+        return bool(model.not_predicted) and float(np.mean(np.abs(self.differences(model)))) > most_errors
 
     def modelled(self, model: StudyScoreModel, one: _Verification) -> NDArray[np.bool_]:
         """Return whether each verification lens is good by the model."""
@@ -402,10 +419,11 @@ class _Rounds:
             raise _TrialsInterrupted(self.result(budget, verified, seed, None)) from None
         one = _Verification(budget.scales, batch, np.concatenate(scores), self.good(np.concatenate(scores)))
         self.verifications.append(one)
-        difference = one.passed.astype(float) - self.modelled(model, one)
+        difference = self.differences(model)
+        count = len(difference)
         estimate = budget.predicted_yield + float(np.mean(difference))
         # Lens and model that agree in every trial may still differ in other trials.
-        error = float(np.sqrt(np.var(difference) / self.fresh + 1.0 / self.fresh**2))
+        error = float(np.sqrt(np.var(difference) / count + 1.0 / count**2))
         return self.result(budget, yield_of(one.passed), seed, (estimate, error))
 
     def good(self, scores: Array) -> NDArray[np.bool_]:
@@ -426,6 +444,7 @@ class _Rounds:
             None if estimate is None else estimate[0],
             None if estimate is None else estimate[1],
             self.required,
+            self.before,
         )
 
     def report_progress(self, rows: int) -> None:

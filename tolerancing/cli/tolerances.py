@@ -364,7 +364,7 @@ def _budget_dict(study: Study, found: StudyBudget) -> dict[str, Any]:
         "verified_seed": found.seed,
         "estimated_yield": found.estimated_yield,
         "estimated_yield_error": found.estimated_yield_error,
-        "predicted_yield_before": budget.predicted_yield_before,
+        "yield_before": None if found.yield_before is None else found.yield_before.as_dict(),
         "cost": found.cost,
         "cost_before": found.cost_before,
         "uniform_scale": budget.uniform_scale,
@@ -392,7 +392,11 @@ def _print_budget(study: Study, found: StudyBudget) -> None:
         )
         costs.insert(1, common)
     print_table("", ["cost"], ["scale", ""], costs)
-    print(f"predicted yield with the tolerances of the study: {100.0 * budget.predicted_yield_before:.1f} %")
+    if (own := found.yield_before) is not None:
+        print(
+            f"trials with the tolerances of the study: {100.0 * own.fraction:.1f} % good "
+            f"({100.0 * own.low:.1f} to {100.0 * own.high:.1f} % of {own.total})"
+        )
     if good is None:
         print("not verified by trials")
         return

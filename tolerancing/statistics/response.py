@@ -70,6 +70,42 @@ class Response:
             scores[chunk] = self.constant + _terms(x[chunk], self.order) @ self.coefficients
         return scores
 
+    def slopes(self, values: ArrayLike) -> Array:
+        """Return the derivatives of the scores by the deviations, shape (n, m, d)."""
+        x = (np.atleast_2d(np.asarray(values, float)) - self.centre) / self.spread
+        linear = self.coefficients[: len(self.centre)].T[None]
+        return np.asarray((linear + np.einsum("ni,mij->nmj", x, self._squares, optimize=True)) / self.spread)
+
+    def sizes(self, values: ArrayLike) -> tuple[Array, Array]:
+        """Return how large the deviations are on which each merit depends, and derivatives by the deviations.
+
+        Returns
+        -------
+        sizes : ndarray, shape (n, m)
+            Mean square of the deviations relative to their spread in the fitted trials, weighted by the
+            variance of the merit that they cause by the model.
+        by : ndarray, shape (n, m, d)
+            Derivatives by the deviations.
+        """
+        x = (np.atleast_2d(np.asarray(values, float)) - self.centre) / self.spread
+        linear = self.coefficients[: len(self.centre)].T
+        variances = linear**2 + 0.5 * np.sum(self._squares**2, axis=2)
+        total = variances.sum(axis=1, keepdims=True)
+        weights = np.where(total > 0.0, variances / np.where(total > 0.0, total, 1.0), 1.0 / x.shape[1])
+        return x**2 @ weights.T, 2.0 * x[:, None] * weights / self.spread
+
+    @property
+    def _squares(self) -> Array:
+        """Second derivatives of each merit by the standardized deviations, shape (m, d, d)."""
+        d, merits = len(self.centre), len(self.constant)
+        found = np.zeros((merits, d, d))
+        if self.order >= 2:
+            found[:, np.arange(d), np.arange(d)] = 2.0 * self.coefficients[d : 2 * d].T
+        if self.order >= 3:
+            first, second = np.triu_indices(d, 1)
+            found[:, first, second] = found[:, second, first] = self.coefficients[2 * d :].T
+        return found
+
 
 def fit_response(values: ArrayLike, scores: ArrayLike) -> Response:
     """Fit a response model to trials.

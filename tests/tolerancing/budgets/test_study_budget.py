@@ -87,6 +87,30 @@ def test_merits_that_are_not_predicted_follow_from_the_trials(write_study, ray_s
     assert found.verified.low <= 0.8 <= found.verified.high
 
 
+NOISE = """
+[[merit]]
+kind = "python"
+function = "mine.py:noise"
+at_least = 0.5
+"""
+
+
+def test_a_poor_model_and_too_few_trials_are_refused(write_study, ray_study, tmp_path):
+    """The message names the merit and what to do."""
+    (tmp_path / "mine.py").write_text("def noise(trial):\n    return (trial.number * 0.618034) % 1.0\n")
+    loaded = load_study(write_study("sensitivity = false\n" + ray_study + NOISE), trust=True)
+    trials = score_trials(context_of(loaded.lens, loaded.study), loaded.study, range(60))
+    with pytest.raises(InputError, match=r"'python'.*60 trials explains \d+%.*--trials"):
+        budget_of_study(loaded.lens, loaded.study, trials.values, trials.scores, 0.3, fresh=50)
+    with pytest.raises(InputError, match=r"4 trials are too few for a model of python.*--trials"):
+        budget_of_study(loaded.lens, loaded.study, trials.values[:4], trials.scores[:4], 0.3, fresh=50)
+
+
+def test_the_yield_before_is_that_of_the_trials(loaded, trials):
+    found = budget_of_study(loaded.lens, loaded.study, trials.values, trials.scores, 0.7, fresh=100)
+    assert found.yield_before == yield_of(trials.passed)
+
+
 IRREGULARITY = """
 [[perturbation]]
 target = "surface 1"

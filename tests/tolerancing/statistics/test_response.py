@@ -87,3 +87,23 @@ def test_too_few_trials_are_refused():
         fit_response(x, x[:, 0])
     with pytest.raises(InputError, match="finite"):
         fit_response(np.full((20, 1), np.nan), np.zeros(20))
+
+
+@pytest.mark.parametrize("n", [12, 30, 60])
+def test_slopes_and_sizes_have_the_derivatives_that_differences_have(n):
+    rng = np.random.default_rng(2)
+    x, new = rng.normal(size=(n, 3)) * [1.0, 10.0, 0.1], rng.normal(size=(5, 3))
+    scores = np.stack([polynomial(rng, 3)(x), x[:, 1] ** 2], axis=1)
+    model = fit_response(x, scores)
+    for k, step in enumerate(1e-5 * np.eye(3)):
+        change = (model.predict(new + step) - model.predict(new - step)) / 2e-5
+        np.testing.assert_allclose(model.slopes(new)[:, :, k], change, rtol=1e-5, atol=1e-5)
+        change = (model.sizes(new + step)[0] - model.sizes(new - step)[0]) / 2e-5
+        np.testing.assert_allclose(model.sizes(new)[1][:, :, k], change, rtol=1e-5, atol=1e-7)
+
+
+def test_only_deviations_on_which_a_merit_depends_have_a_size():
+    x = np.random.default_rng(3).normal(size=(60, 2))
+    model = fit_response(x, (x[:, 0] ** 2)[:, None])
+    small, large = model.sizes([[0.1, 5.0], [2.0, 0.0]])[0][:, 0]
+    assert small < 0.1 < 3.0 < large
