@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -196,7 +197,10 @@ def _combined(mounted: SystemState, own: SystemState, nominal_um: float) -> Syst
         object_shift_mm=(x, y, z),
         sensor_shift_mm=(sensor_x, sensor_y, sensor_z),
         plane_distance_errors_mm=tuple(
-            mounted.sensor_pose(k).distance_mm + error for k, error in enumerate(own.plane_distance_errors_mm)
+            map(
+                sum,
+                zip_longest(mounted.plane_distance_errors_mm, own.plane_distance_errors_mm, fillvalue=0.0),
+            )
         ),
         sensor_tilt_deg=(tilt_x, tilt_y),
         wavelength_um=(mounted.wavelength_um or nominal_um) + shift_um,

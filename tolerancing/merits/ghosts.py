@@ -55,13 +55,11 @@ def _ghost_fraction(lens: Lens, wavelength_um: float, state: SystemState) -> flo
         Pose(
             sensor_x - x,
             sensor_y - y,
-            error - z,
+            state.sensor_pose(plane).distance_mm - z,
             *state.sensor_tilt_deg,
             pivot_z_mm=lens.exit_vertex_z_mm + plane_mm,
         )
-        for plane_mm, error in zip(
-            lens.sensor.plane_distances_mm, state.plane_distance_errors_mm, strict=True
-        )
+        for plane, plane_mm in enumerate(lens.sensor.plane_distances_mm)
     )
     found = ghost_paths(
         lens,

@@ -186,12 +186,14 @@ class PerturbationBatch:
 
     def _state(self, lens: Lens, wavelength_um: float) -> SystemState:
         surfaces = self.surface_perturbations(lens, wavelength_um)
+        x_mm, y_mm, z_mm = self.sensor_shift_mm(lens)[0].tolist()
+        errors_mm = (self.plane_distances_mm(lens)[0] - z_mm).tolist()
         return SystemState(
             pose=Pose(**_first(vars(self.poses()))),
             surface_perturbations={i: SurfacePerturbation(**_first(vars(p))) for i, p in surfaces.items()},
             object_shift_mm=tuple(self.object_shift_mm(lens)[0].tolist()),
-            sensor_shift_mm=tuple(self.sensor_shift_mm(lens)[0].tolist()),
-            plane_distance_errors_mm=tuple(self.plane_distances_mm(lens)[0].tolist()),
+            sensor_shift_mm=(x_mm, y_mm, z_mm),
+            plane_distance_errors_mm=tuple(errors_mm) if any(errors_mm) else (),
             sensor_tilt_deg=tuple(self.sensor_tilt_deg()[0].tolist()),
             wavelength_um=wavelength_um + float(self.wavelength_shift_um()[0]),
         )

@@ -53,7 +53,7 @@ def with_values(state: SystemState, parameters: Sequence[str], values: Sequence[
         pose=replace(state.pose, **{n: v for n, v in given.items() if n in (*DECENTERS, *TILTS)}),
         object_shift_mm=(x, y, 0.0 - given.get(WORKING_DISTANCE, 0.0 - z)),
         plane_distance_errors_mm=(
-            *(planes.get(n, own) for n, own in enumerate(current)),
+            *(planes.get(n, own) - state.sensor_shift_mm[2] for n, own in enumerate(current)),
             *state.plane_distance_errors_mm[count:],
         ),
     )

@@ -93,6 +93,8 @@ class _State(FrozenModel):
     object_shift_mm: Triple = (0.0, 0.0, 0.0)
     sensor_shift_mm: Triple = (0.0, 0.0, 0.0)
     plane_distance_errors_mm: Numbers = ()
+    # In files of earlier versions, which lack this key, these errors replace the z component of the shift.
+    plane_distance_errors_add: bool = False
     sensor_tilt_deg: Pair = (0.0, 0.0)
     wavelength_um: Positive | None = None
     light: _Light = _Light()
@@ -114,6 +116,8 @@ def state_table(state: SystemState) -> dict[str, Any]:
         If the state contains arrays of trials instead of numbers.
     """
     table = _deviations(state)
+    if state.plane_distance_errors_mm and state.sensor_shift_mm[2]:
+        table["plane_distance_errors_add"] = True
     surfaces = table.pop("surface_perturbations", {})
     if surfaces:
         table["surfaces"] = {str(index + 1): surfaces[index] for index in sorted(surfaces)}
@@ -181,13 +185,16 @@ def state_from_table(table: Mapping[str, Any], path: str | os.PathLike[str], len
                 f"{path}: {STATE}: surfaces: {number}: the lens has {count} surfaces; give the design to "
                 "which the state belongs"
             )
+    errors_mm = read.plane_distance_errors_mm
+    if not read.plane_distance_errors_add:
+        errors_mm = tuple(error - read.sensor_shift_mm[2] for error in errors_mm)
     try:
         return SystemState(
             pose=Pose(**read.pose.model_dump()),
             surface_perturbations={int(n) - 1: _surface(one) for n, one in read.surfaces.items()},
             object_shift_mm=read.object_shift_mm,
             sensor_shift_mm=read.sensor_shift_mm,
-            plane_distance_errors_mm=read.plane_distance_errors_mm,
+            plane_distance_errors_mm=errors_mm,
             sensor_tilt_deg=read.sensor_tilt_deg,
             wavelength_um=read.wavelength_um,
             light=LightErrors(

@@ -84,8 +84,8 @@ class SystemState:
         Shifts of object and sensor in mm. Equal shifts of both are equivalent to the opposite shift of the
         lens.
     plane_distance_errors_mm : tuple of float
-        Change of the distance from the lens in mm, for each recording plane. Planes beyond the list use the z
-        component of `sensor_shift_mm`.
+        Change of the distance from the lens in mm on each recording plane, in addition to `sensor_shift_mm`.
+        Planes beyond the list have none.
     sensor_tilt_deg : (x, y)
         Right-handed rotation of the sensor about x, then about the rotated y axis, in degrees. The axes pass
         through the centre of the sensor's plane.
@@ -171,7 +171,7 @@ class SystemState:
         x_mm, y_mm, z_mm = self.sensor_shift_mm
         x_um, y_um = _value_at(self.plane_shifts_um, index, (0.0, 0.0))
         return SensorPose(
-            _value_at(self.plane_distance_errors_mm, index, z_mm),
+            z_mm + _value_at(self.plane_distance_errors_mm, index, 0.0),
             (x_mm + 1e-3 * x_um, y_mm + 1e-3 * y_um),
             self.sensor_tilt_deg,
         )

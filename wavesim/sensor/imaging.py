@@ -496,8 +496,8 @@ def _true_state(
         raise SettingError(f"{{stage_error_mm}} = {given!r}: must be 1 or {planes} numbers")
     if any(errors_mm):
         errors_mm = errors_mm * planes if len(errors_mm) == 1 else errors_mm
-        distances = (error + true.sensor_pose(n).distance_mm for n, error in enumerate(errors_mm))
-        true = replace(true, plane_distance_errors_mm=tuple(distances))
+        own_mm = [*true.plane_distance_errors_mm, *(0.0,) * planes][:planes]
+        true = replace(true, plane_distance_errors_mm=tuple(map(sum, zip(errors_mm, own_mm, strict=True))))
     if x_um or y_um:  # the sensor moves by the same shift from each plane to the next
         own = [*true.plane_shifts_um, *((0.0, 0.0),) * planes][:planes]
         shifts = tuple((x + n * x_um, y + n * y_um) for n, (x, y) in enumerate(own))

@@ -66,6 +66,16 @@ def test_a_state_is_read_as_it_was_written(state: SystemState) -> None:
     assert state_from_table(table, "state.json", LENS) == state
 
 
+def test_files_of_earlier_versions_keep_their_distances() -> None:
+    """There, the error of a plane replaced the z component of the sensor's shift."""
+    table = {"sensor_shift_mm": [0.0, 0.0, 0.02], "plane_distance_errors_mm": [0.01]}
+    state = state_from_table(table, "state.json", LENS)
+    found = [state.sensor_pose(plane).distance_mm for plane in range(2)]
+    assert found == pytest.approx([0.01, 0.02], abs=1e-15)
+    again = state_from_table(json.loads(json.dumps(state_table(state))), "state.json", LENS)
+    assert again == state
+
+
 def test_a_figure_is_read_as_it_was_written(tmp_path: Path) -> None:
     figure = surface_figure_from_zernike({5: 0.03, 8: -0.02}, 5.0)
     state = SystemState(surface_perturbations={1: SurfacePerturbation(conic=0.1, figure=figure)})
