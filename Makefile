@@ -8,7 +8,7 @@ READY := .venv/ready
 OUT := demo_output
 PACKAGES := lensdesign wavesim tolerancing studio
 
-.PHONY: demo gallery paper test style types tests test-lowest docs benchmarks lock clean
+.PHONY: demo gallery paper test style types tests commands test-lowest docs benchmarks lock clean
 
 demo: $(READY)
 	@mkdir -p $(OUT)
@@ -82,6 +82,10 @@ types: $(READY)
 tests: $(READY)
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 \
 	  $(BIN)/python -m pytest -n auto --dist loadscope --no-loadscope-reorder
+
+# Every command of the documentation exactly as it is written, which takes hours; `make tests` has smaller stand-ins.
+commands: $(READY)
+	DOCUMENTED_COMMANDS=as-written $(BIN)/python -m pytest tests/test_documented_commands.py
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or later is needed: make PYTHON=..."'
