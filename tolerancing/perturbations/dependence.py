@@ -19,8 +19,8 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import DesignError
-from tolerancing.perturbations.draws import LARGEST, SMALLEST
-from tolerancing.perturbations.parameters import UNITS, with_unit
+from tolerancing.perturbations.draws import LARGEST, SMALLEST, probabilities
+from tolerancing.perturbations.parameters import UNITS, Perturbation, with_unit
 
 Coefficient = Annotated[float, Field(ge=-1.0, le=1.0, allow_inf_nan=False)]
 
@@ -248,3 +248,26 @@ def _check_positive(matrix: Array) -> None:
 
 def _repeated(names: Sequence[str]) -> str | None:
     return next((repr(name) for i, name in enumerate(names) if name in names[:i]), None)
+
+
+def sample_values(
+    perturbations: Sequence[Perturbation],
+    dependence: Dependence,
+    draws: str,
+    seed: int,
+    trials: Sequence[int],
+    planned: int,
+) -> Array:
+    """Return the deviations of trials, shape (trials, perturbations).
+
+    Parameters
+    ----------
+    perturbations, dependence
+        Distributions, and dependences between them.
+    draws, seed, planned
+        Sampling method, seed and number of trials of the study.
+    trials
+        Numbers of the trials.
+    """
+    drawn = dependence.apply(probabilities(draws, seed, trials, len(perturbations), planned))
+    return np.column_stack([p.distribution.quantile(drawn[:, k]) for k, p in enumerate(perturbations)])

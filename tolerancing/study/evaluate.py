@@ -14,7 +14,7 @@ from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, all_passed
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
-from tolerancing.perturbations.draws import probabilities
+from tolerancing.perturbations.dependence import sample_values
 from tolerancing.study.results import HighFidelityResults, StepResults, TrialResults
 from tolerancing.study.scoring import fault_text, score_batch, values_or_nan
 from tolerancing.study.series import LinePairSection
@@ -111,9 +111,7 @@ def sample_perturbations(study: Study, trials: Sequence[int]) -> PerturbationBat
     """
     perturbations = study.perturbations
     check_trial_memory(study, len(trials))
-    drawn = probabilities(study.draws, study.seed, trials, len(perturbations), study.trials)
-    dependent = study.dependence.apply(drawn)
-    values = np.column_stack([p.distribution.quantile(dependent[:, k]) for k, p in enumerate(perturbations)])
+    values = sample_values(perturbations, study.dependence, study.draws, study.seed, trials, study.trials)
     return batch_of(perturbations, values, study.pivot_z_mm, study.seed, trials)
 
 
@@ -221,6 +219,15 @@ def decide_levels(lens: Lens, study: Study) -> dict[str, str]:
     """
     context = context_of(lens, study)
     return {merit.label: _level(merit, context, study) for merit in study.all_merits}
+
+
+def with_decided_levels(lens: Lens, study: Study) -> Study:
+    """Return the study with the level of each merit, selected with trials only where several can score it."""
+    several = [m for m in study.all_merits if m.level == "auto" and len(m.able_levels()) > 1]
+    if not several:
+        return study
+    context = pupil_context(lens, study)
+    return study.with_levels({merit.label: _level(merit, context, study) for merit in several})
 
 
 def _level(merit: Merit, context: Context, study: Study) -> str:

@@ -15,6 +15,7 @@ from tolerancing.merits.context import Sampling
 from tolerancing.perturbations.dependence import Correlation, Dependence, study_dependence
 from tolerancing.perturbations.draws import DRAWS
 from tolerancing.perturbations.parameters import Perturbation, PerturbedParameter
+from tolerancing.study.scaled_trials import ScaledTrials, TrialsAtFactors
 from tolerancing.study.series import Series
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.sweep import OneAtATime, ParameterGrid, Sweep
@@ -83,6 +84,8 @@ class Study(FrozenModel):
         Parameters that the model of the reconstruction adapts to each lens (``[[compensator]]``).
     all_merits
         Merits with their limits (``[[merit]]``).
+    scaled_trials
+        Trials with all tolerances multiplied, for the yield against the tolerances (``[scaled_trials]``).
     sweeps, grids, slice_counts
         Series of steps that vary one parameter, two parameters, or the number of slices (``[[sweep]]``,
         ``[[grid]]``, ``[[slice_count]]``).
@@ -106,6 +109,7 @@ class Study(FrozenModel):
     sensitivity: bool = True
     sampling: Sampling = Sampling()
     fidelity: Fidelity = Fidelity()
+    scaled_trials: ScaledTrials | None = None
     perturbations: Annotated[
         tuple[SerializeAsAny[Perturbation], ...], Field(alias="perturbation", min_length=1)
     ]
@@ -128,9 +132,16 @@ class Study(FrozenModel):
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
-        """Series: sweeps, grids, slice counts and sensitivities."""
+        """Series: sweeps, grids, slice counts, sensitivities, and trials with multiplied tolerances."""
         alone = (OneAtATime(self.perturbations),) if self.sensitivity else ()
-        return (*self.sweeps, *self.grids, *self.slice_counts, *alone)
+        return (*self.sweeps, *self.grids, *self.slice_counts, *alone, *self._trials_at_factors)
+
+    @property
+    def _trials_at_factors(self) -> tuple[TrialsAtFactors, ...]:
+        if self.scaled_trials is None:
+            return ()
+        how = self.draws, self.seed, self.trials, self.pivot_z_mm
+        return (TrialsAtFactors(self.scaled_trials, self.perturbations, self.dependence, *how),)
 
     @cached_property
     def dependence(self) -> Dependence:
@@ -218,6 +229,9 @@ class Study(FrozenModel):
                 f"{named[0]}: a number of slices has no fractions of a tolerance; give sensitivity = false, "
                 "and add a [[sweep]] of it to see its effect"
             )
+
+        if named and self.scaled_trials is not None:
+            raise ValueError(f"scaled_trials: {named[0]} has no tolerance that can be multiplied")
 
     @property
     def varied_parameters(self) -> tuple[PerturbedParameter, ...]:

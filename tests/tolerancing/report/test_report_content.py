@@ -37,6 +37,7 @@ from tolerancing.statistics.scorer import kurtosis
 from tolerancing.statistics.summary import summary_of
 from tolerancing.study.files import load_study
 from tolerancing.study.results import Picture, StepResults, TrialResults
+from tolerancing.study.scaled_trials import SCALED_TRIALS
 from tolerancing.study.sweep import SENSITIVITY, STEPS
 
 
@@ -243,7 +244,7 @@ def test_the_curve_of_all_limits_is_missing_where_a_merit_is_left_out(write_stud
 
 def test_points_beside_the_models_are_yields_of_the_trials(loaded):
     values = np.random.default_rng(2).normal(size=(2000, 2)) * [0.02, 0.009]
-    scores = 4.82 + 0.4 * values[:, 0] + 3e4 * values[:, 1] ** 4  # which a parabola does not follow
+    scores = 4.82 + 0.4 * values[:, 0] + 30.0 * values[:, 1] ** 2
     data = data_of(loaded, scores[:, None], values)
     axis = next(b for b in scale_section(data) if isinstance(b, FigureBlock)).panels[0].figure.axes[0]
     share = 100.0 * np.mean(scores <= 4.83)
@@ -255,6 +256,30 @@ def test_points_beside_the_models_are_yields_of_the_trials(loaded):
         (low, high) = interval.get_segments()[0][:, 1]
         assert low < share < high
     assert len(axis.containers) == 2
+
+
+def test_a_poor_model_gives_way_to_trials_at_three_factors(write_study, ray_study):
+    """A parabola through a loss that grows with the eighth power of an error is upside down."""
+    loaded = load_study(write_study(ray_study + "[scaled_trials]\nfactors = [0.5, 2.0]\ntrials = 200\n"))
+    rng = np.random.default_rng(4)
+    values = rng.normal(0.0, 0.02, (200, len(loaded.study.perturbations)))
+    score = lambda v: 4.7 + 0.1 * np.abs(v[:, 0] / 0.02) ** 8  # noqa: E731
+    (series,) = [s for s in loaded.study.series if s.label == SCALED_TRIALS]
+    (merit,) = loaded.study.merits
+    steps = []
+    for step in range(len(series)):
+        where = series.coordinates(step)
+        (own,) = score(where["tolerance_factor"] * values[[int(where["trial"])]])
+        steps.append(StepResults(series.label, step, where, {merit.label: own}, "", (), 0.01))
+    blocks = scale_section(data_of(loaded, score(values)[:, None], values, steps=steps))
+    assert not blocks[1].text.startswith("Full lines")
+    axis = next(b for b in blocks if isinstance(b, FigureBlock)).panels[0].figure.axes[0]
+    points = axis.containers[-1].lines[0].get_xydata()
+    expected = [[f, 100.0 * np.mean(merit.passed(score(f * values)))] for f in (0.5, 1.0, 2.0)]
+    assert points == pytest.approx(np.array(expected))
+    assert points[0, 1] > points[1, 1] > points[2, 1]
+    rows = next(b for b in blocks if isinstance(b, Table)).rows
+    assert plain(rows[-1][1]).startswith(f"{points[0, 1]:.1f} %")
 
 
 @given(st.floats(4.8, 5.0) | st.floats(4.9 - 1e-6, 4.9 + 1e-6))

@@ -153,19 +153,22 @@ class ScaleCurve:
     ----------
     name
         Name in the legend.
-    fractions : ndarray
-        Yield by the model at each factor, 0 to 1.
-    found
-        Yield of the trials themselves, at factor 1.
+    points : tuple of (float, Yield)
+        Yields of trials at some factors, in ascending order.
+    fractions : ndarray or None
+        Yield by the model at each factor of the panel, 0 to 1; None if no model fits the trials.
     """
 
     name: str
-    fractions: Array
-    found: Yield | None
+    points: tuple[tuple[float, Yield], ...]
+    fractions: Array | None
 
 
 def scale_panel(scales: Array, curves: Sequence[ScaleCurve]) -> Panel:
-    """Draw yield against a common factor of all tolerances, with lines for models and points for trials."""
+    """Draw yield against a common factor of all tolerances: points for trials, lines for models.
+
+    Points of trials without a model are connected by broken lines.
+    """
     with chart_style():
         figure = styled_figure(6.2, 3.1)
         axis = figure.subplots()
@@ -173,18 +176,22 @@ def scale_panel(scales: Array, curves: Sequence[ScaleCurve]) -> Panel:
             together = curve.name == ALL_LIMITS
             color = INK if together else SERIES[number % len(SERIES)]
             width = 2.0 if together else 1.1
-            axis.plot(scales, 100.0 * curve.fractions, color=color, linewidth=width, label=curve.name)
-            if curve.found is not None:
-                middle, low, high = (
-                    100.0 * v for v in (curve.found.fraction, curve.found.low, curve.found.high)
-                )
-                axis.errorbar(
-                    [1.0], [middle], yerr=[[middle - low], [high - middle]], fmt="o", color=color, ms=4.0,
-                    capsize=2.5,
-                )  # fmt: skip
+            if curve.fractions is not None:
+                axis.plot(scales, 100.0 * curve.fractions, color=color, linewidth=width, label=curve.name)
+            factors = [factor for factor, _ in curve.points]
+            middle, low, high = (
+                np.array([100.0 * getattr(found, key) for _, found in curve.points])
+                for key in ("fraction", "low", "high")
+            )
+            line = "o" if curve.fractions is not None or len(factors) < 2 else "o--"
+            axis.errorbar(
+                factors, middle, yerr=[middle - low, high - middle], fmt=line, color=color, ms=4.0,
+                linewidth=width, capsize=2.5, label=None if curve.fractions is not None else curve.name,
+            )  # fmt: skip
         axis.set_xlabel("common factor of all tolerances")
         axis.set_ylabel("yield (%)")
         axis.set_ylim(-3.0, 103.0)
+        axis.set_xlim(left=0.0)
         figure.legend(loc="outside right upper")
     return Panel(figure, "Yield against a common factor of all tolerances")
 

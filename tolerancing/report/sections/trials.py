@@ -36,6 +36,9 @@ from tolerancing.report.figures.trials import (
 from tolerancing.statistics.correlation import MOST_TRIALS
 from tolerancing.statistics.response import Response, fit_response
 from tolerancing.statistics.summary import PERCENTILES, MeritSummary, merit_summary
+from tolerancing.statistics.yields import Yield, yield_of
+from tolerancing.study.results import StepResults
+from tolerancing.study.scaled_trials import SCALED_TRIALS
 
 WORST_TRIALS = 12
 """Number of worst trials in a table."""
@@ -95,45 +98,104 @@ def _uncompensated(data: ReportData, column: str) -> Array | None:
 
 
 def scale_section(data: ReportData) -> list[Block]:
-    """Return the yield over a common factor of all tolerances, from a model of the trials."""
+    """Return the yield over a common factor of all tolerances: trials at some factors, and models of them."""
     blocks: list[Block] = [Heading("Yield against tolerance scale")]
+    if not len(data.results):
+        return [*blocks, Paragraph("Left out: the store holds no trials.")]
+    points = _yields_by_factor(data)
     models, unmodelled = _models(data)
+    lines = _modelled(data, models)
+    names = {m.label: merit_label(m) for m in data.study.merits}
+    curves = [ScaleCurve(names[label], points[label], lines.get(label)) for label in names]
+    curves.append(ScaleCurve(ALL_LIMITS, points[ALL_LIMITS], lines.get(ALL_LIMITS)))
+    shown = [curve for curve in curves if curve.fractions is not None or len(curve.points) > 1]
+    text = []
+    if models:
+        qualities = [
+            f"{name} {model.cross_validated_r_squared[0]:.2f}"
+            for name, model in ((names[label], model) for label, model in models.items())
+        ]
+        text.append(
+            "Full lines: a second-order model of the trials predicts the scores of the same lenses with all "
+            "deviations multiplied by the factor. What it leaves of a trial's score is multiplied by the "
+            "third power of the factor, the first that the model omits, so that the yield at 1 is that of "
+            "the trials. For factors above 1 the model is extrapolated. Trials without a score are not in "
+            f"the model, and miss their limits. Cross-validated R²: {joined(qualities)}."
+        )
+    if unmodelled:
+        text.append(f"Without a line of a model: {joined(unmodelled)}.")
+    if len(points[ALL_LIMITS]) == 1:
+        text.append(
+            "The store holds no trials at other factors; a table [scaled_trials] of the study adds them."
+        )
+    if not shown:
+        return [*blocks, Paragraph(" ".join(text), soft=True)]
+    text.append("Points: yields of trials, with their 95 % intervals.")
+    factors = [factor for factor, _ in points[ALL_LIMITS]]
+    rows = [
+        [curve.name, *(_yield_text(dict(curve.points).get(factor)) for factor in factors)] for curve in curves
+    ]
+    headings = ["<Limit", *(f"{factor:g} × tolerances" for factor in factors)]
+    return [
+        *blocks,
+        Paragraph(" ".join(text), soft=True),
+        FigureBlock((scale_panel(SCALES, shown),)),
+        table(headings, rows, "Yields of trials with all tolerances multiplied."),
+    ]
+
+
+def _yield_text(found: Yield | None) -> str:
+    if found is None:
+        return "–"
+    return f"{percent_text(found.fraction)} ({100.0 * found.low:.1f} to {percent_text(found.high)})"
+
+
+def _yields_by_factor(data: ReportData) -> dict[str, tuple[tuple[float, Yield], ...]]:
+    """Return the yields of trials at each factor, by the merit's label, and those of all limits."""
+    merits, steps = data.study.merits, data.steps_of(SCALED_TRIALS)
+    by_factor: dict[float, list[StepResults]] = {}
+    for step in steps:
+        by_factor.setdefault(float(step.coordinates["tolerance_factor"]), []).append(step)
+    found: dict[str, list[tuple[float, Yield]]] = {
+        name: [] for name in (*(m.label for m in merits), ALL_LIMITS)
+    }
+    for factor, own in by_factor.items():
+        scores = np.array([[step.scores.get(m.label, np.nan) for m in merits] for step in own])
+        trials = [int(step.coordinates["trial"]) for step in own]
+        passed = {m.label: m.passed(scores[:, k]) for k, m in enumerate(merits)}
+        passed[ALL_LIMITS] = np.all(list(passed.values()), axis=0)
+        for name, good in passed.items():
+            value = yield_of(good, replicates(data.study.draws, trials))
+            assert value is not None  # there are trials
+            found[name].append((factor, value))
+    for row in data.summary.merits:
+        if row.good is not None:
+            found[row.merit.label].append((1.0, row.good))
+    if data.summary.good is not None:
+        found[ALL_LIMITS].append((1.0, data.summary.good))
+    return {name: tuple(sorted(own, key=lambda pair: pair[0])) for name, own in found.items()}
+
+
+def _modelled(data: ReportData, models: dict[str, Response]) -> dict[str, Array]:
+    """Return the yield by the models at each of `SCALES`, by label, and of all limits if all have one."""
     if not models:
-        return [*blocks, Paragraph(f"Left out: {joined(unmodelled) or 'the store holds no trials'}.")]
+        return {}
     sampled = _sample(len(data.results))
     values, scores = data.results.values[sampled], data.results.scores[sampled]
     centre = np.array([p.distribution.centre for p in data.study.perturbations])
-    passed_by_scale: dict[str, list[NDArray[np.bool_]]] = {label: [] for label in models}
     merits = {m.label: m for m in data.study.merits}
     own_scores = dict(zip(merits, scores.T, strict=True))
     unexplained = {label: own_scores[label] - m.predict(values)[:, 0] for label, m in models.items()}
+    passed_by_scale: dict[str, list[NDArray[np.bool_]]] = {label: [] for label in models}
     for scale in SCALES:
         scaled = centre + scale * (values - centre)
         for label, model in models.items():
             predicted = model.predict(scaled)[:, 0] + scale**3 * unexplained[label]
             passed_by_scale[label].append(merits[label].passed(predicted))
-    own = {row.merit.label: row.good for row in data.summary.merits}
-    curves = [
-        ScaleCurve(merit_label(merits[label]), np.mean(passed, axis=1), own[label])
-        for label, passed in passed_by_scale.items()
-    ]
+    found = {label: np.mean(passed, axis=1) for label, passed in passed_by_scale.items()}
     if len(models) == len(merits):
-        together = np.mean(np.all(list(passed_by_scale.values()), axis=0), axis=1)
-        curves.append(ScaleCurve(ALL_LIMITS, together, data.summary.good))
-    qualities = [
-        f"{merits[label].column} {model.cross_validated_r_squared[0]:.2f}" for label, model in models.items()
-    ]
-    text = (
-        "A second-order model of the trials predicts the scores of the same lenses with all deviations "
-        "multiplied by the factor. What it leaves of a trial's score is multiplied by the third power of the "
-        "factor, the first that the model omits, so that the yield at 1 is that of the trials. For factors "
-        "above 1 the model is extrapolated. Trials without a score are not in the model, and miss their "
-        f"limits. Cross-validated R²: {joined(qualities)}."
-    )
-    if unmodelled:
-        text += f" Left out: {joined(unmodelled)}."
-    text += " Points: yields of the trials themselves, with their 95 % intervals."
-    return [*blocks, Paragraph(text, soft=True), FigureBlock((scale_panel(SCALES, curves),))]
+        found[ALL_LIMITS] = np.mean(np.all(list(passed_by_scale.values()), axis=0), axis=1)
+    return found
 
 
 def _sample(count: int) -> slice:
@@ -145,7 +207,8 @@ def _models(data: ReportData) -> tuple[dict[str, Response], list[str]]:
     """Return the models by merit, and the reasons why other merits have none."""
     models: dict[str, Response] = {}
     unmodelled: list[str] = []
-    smallest_r_squared = 0.5
+    # What a model leaves grows with a power of the factor that is not known, so it must be small.
+    smallest_r_squared = 0.95
     chosen = _sample(len(data.results))
     if not len(data.results):
         return models, unmodelled
