@@ -62,11 +62,22 @@ def start(
             rich_help_panel=OptionGroup.TOLERANCES,
         ),
     ] = "precision",
+    calibrated: Annotated[
+        bool,
+        typer.Option(
+            "--calibrated/--nominal-mounting",
+            help="Whether decenter and tilt are calibrated before a reconstruction (compensators).",
+            rich_help_panel=OptionGroup.TOLERANCES,
+        ),
+    ] = True,
     force: Annotated[
         bool, typer.Option("--force", help="Replace an existing file.", rich_help_panel=OptionGroup.OUTPUT)
     ] = False,
 ) -> None:
     """Write a study with the usual tolerances of a grade, as a starting point to edit.
+
+    Its reconstructions follow the mounting of each lens, as after `wavesim calibrate`. With
+    --nominal-mounting they assume the design, which takes a mount of a few micrometres.
 
     Example: tolerancing start lens.toml -o study.toml
     """
@@ -74,7 +85,7 @@ def start(
 
     if output.exists() and not force:
         raise InputError(f"{output} exists already; give another name, or --force to replace it")
-    start_study(design, output, grade)
+    start_study(design, output, grade, calibrated)
     print(f"wrote {output}: edit it, then: tolerancing run {output} --store {output.with_suffix('.db')}")
 
 

@@ -122,7 +122,7 @@ GRADES: dict[str, Grade | None] = {
 """Grades by name; None: the tolerances depend on the size of the part."""
 
 
-def starting_study(lens: Lens, design_name: str, grade: str) -> str:
+def starting_study(lens: Lens, design_name: str, grade: str, calibrated: bool = True) -> str:
     """Return the text of a study file with starting tolerances.
 
     Parameters
@@ -133,6 +133,9 @@ def starting_study(lens: Lens, design_name: str, grade: str) -> str:
         Its design file, relative to the folder of the study file.
     grade
         One of `GRADES`.
+    calibrated
+        Whether the mounting is calibrated before a reconstruction, so that its model follows the mounting:
+        the study then has compensators for decenter and tilt of the lens.
 
     Returns
     -------
@@ -151,6 +154,7 @@ def starting_study(lens: Lens, design_name: str, grade: str) -> str:
         raise InputError(f"grade = {grade!r}: there is no such grade; allowed: {known}")
     blocks = [_head(lens, design_name, grade), _mounting(lens, grade)]
     blocks += [_surface(lens, index, grade) for index in range(len(lens.surfaces))]
+    blocks.append(_compensators(grade) if calibrated else NOT_CALIBRATED)
     blocks.append(_merits(lens))
     return "\n".join(block for block in blocks if block).replace("\n\n\n", "\n\n").rstrip("\n") + "\n"
 
@@ -186,6 +190,10 @@ def _head(lens: Lens, design_name: str, grade: str) -> str:
         "",
         "[sampling]",
         _commented(f"pupil_samples = {samples}", "resolves the wavefront errors of this grade"),
+        "",
+        _commented("[scaled_trials]", "yield with all tolerances multiplied"),
+        "factors = [0.5, 2.0]",
+        "trials = 100",
     ]
     return "\n".join(lines) + "\n"
 
@@ -203,6 +211,36 @@ def _mounting(lens: Lens, grade: str) -> str:
     for axis in "xy":
         angle = mount.sensor_tilt_deg
         text += _perturbation("sensor", f"tilt_{axis}_deg", angle, f"+-{angle:g}°")
+    return text
+
+
+NOT_CALIBRATED = (
+    "# No compensators: a reconstruction uses the nominal mounting. See `tolerancing start --calibrated`.\n"
+)
+
+
+def _compensators(grade: str) -> str:
+    """Return the parameters of the mounting that a calibration determines from frames.
+
+    Distances are not among them: they change wavefronts by focus alone, which is free anyway.
+    """
+    mount = GRADES[grade] or COMMERCIAL
+    # A calibration also absorbs part of the errors of the lens, beyond the tolerance of the mount.
+    reach = 2.0
+    text = (
+        "# Calibration: the model of the reconstruction adapts its mounting to each lens, as\n"
+        "# `wavesim calibrate` does from frames.\n"
+    )
+    for target, parameter, tolerance in (
+        ("lens", "decenter_x_mm", mount.lens_decenter_mm),
+        ("lens", "decenter_y_mm", mount.lens_decenter_mm),
+        ("lens", "tilt_x_deg", mount.lens_tilt_deg),
+        ("lens", "tilt_y_deg", mount.lens_tilt_deg),
+    ):
+        limit = _number(reach * tolerance)
+        text += _table(
+            "compensator", ("target", target, ""), ("parameter", parameter, ""), ("limit", limit, "")
+        )
     return text
 
 

@@ -313,7 +313,10 @@ def _with_its_file(item: FrozenModel, folder: Path, source: str, location: str) 
 
 
 def start_study(
-    design: str | os.PathLike[str], path: str | os.PathLike[str], grade: str = "precision"
+    design: str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    grade: str = "precision",
+    calibrated: bool = True,
 ) -> None:
     """Write a study of a design with the usual tolerances of a manufacturing grade, as a file to edit.
 
@@ -326,6 +329,9 @@ def start_study(
     grade
         ``commercial``, ``precision``, ``high_precision``, ``moulded_glass``, ``moulded_plastic``, or
         ``iso10110`` for the general tolerances of ISO 10110-11, which depend on the size of a part.
+    calibrated
+        Whether decenter and tilt of the lens are calibrated before a reconstruction; the study then has
+        compensators for them. Otherwise reconstructions assume the nominal mounting.
 
     Raises
     ------
@@ -346,7 +352,7 @@ def start_study(
     name = Path(os.path.relpath(Path(design).resolve(), Path(path).resolve().parent)).as_posix()
     if (shown := printable_name(name)) != name:
         raise InputError(f"{shown}: its name is not UTF-8, so a study cannot state it; rename it")
-    text = starting_study(load_design(design), name, grade)
+    text = starting_study(load_design(design), name, grade, calibrated)
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

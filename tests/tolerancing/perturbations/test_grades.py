@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from places import DESIGNS
 from random_lenses import lenses
+from typer.testing import CliRunner
 
 from lensdesign import DesignError, InputError, Lens, load_design
 from lensdesign.analysis.exit_beam import largest_spread_angle
@@ -17,6 +18,7 @@ from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.distributions import DISTRIBUTIONS
 from tolerancing.perturbations.grades import COMMENT_COLUMN, GRADES, starting_study
 from tolerancing.perturbations.parameters import perturbation_from_table
+from tolerancing.study.files import study_from_tables
 
 
 def paper() -> Lens:
@@ -252,3 +254,30 @@ def test_an_unknown_grade_is_refused():
 
 def test_general_tolerances_loosen_with_size():
     assert sorted(GENERAL) == list(GENERAL) == [10.0, 30.0, 100.0, 300.0]
+
+
+@pytest.mark.parametrize("grade", ["commercial", "precision", "high_precision"])
+def test_a_calibrated_study_adapts_what_its_mount_leaves(grade):
+    lens = paper()
+    calibrated, nominal = (
+        study_from_tables(tomllib.loads(starting_study(lens, "design.toml", grade, one)), "here")
+        for one in (True, False)
+    )
+    assert not nominal.compensators
+    assert nominal.replaced(compensators=calibrated.compensators) == calibrated
+    limits = {one.column: one.limit for one in calibrated.compensators}
+    mount = {p.column: p.tolerance for p in calibrated.perturbations if p.target == "lens"}
+    assert limits == {column: pytest.approx(2.0 * tolerance) for column, tolerance in mount.items()}
+
+
+def test_starting_studies_are_calibrated_unless_asked_otherwise(tmp_path):
+    from tolerancing.cli.commands import app
+
+    for option, expected in (("--calibrated", 4), ("--nominal-mounting", 0), (None, 4)):
+        path = tmp_path / f"{option}.toml"
+        words = ["start", str(DESIGNS / "paper_singlet.toml"), "-o", str(path), *([option] if option else [])]
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, done.output
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        assert len(tables.get("compensator", [])) == expected
+        assert tables["scaled_trials"] == {"factors": [0.5, 2.0], "trials": 100}
