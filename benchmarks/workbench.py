@@ -38,7 +38,7 @@ DRAG = """async ([rounds, still]) => {
   };
   const slider = deep("input[type=range]").find((one) => one.ariaLabel.startsWith("surface 2 radius"));
   const spread = () => deep(".constraint")[1]?.dataset.value;
-  const good = () => deep(".yield")[0]?.dataset.yield;
+  const good = () => deep(".yield")[0]?.dataset.limits;
   const rays = [], waves = [];
   for (let k = 0; k < rounds; k++) {
     const before = [spread(), good()], began = performance.now();

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -87,7 +86,9 @@ def compare(
         return
     rows = [_row(one) for one in found if not one.is_of_surface or (surfaces and one.differs)]
     if built is not None:
-        yields = ["-  " if math.isnan(one["yield"]) else f"{100.0 * one['yield']:.1f}  " for one in built]
+        yields = [
+            "not predicted  " if one["yield"] is None else f"{100.0 * one['yield']:.1f}  " for one in built
+        ]
         costs = ["-  " if one["cost"] is None else f"{one['cost']:.4g}  " for one in built]
         rows += [("predicted yield as built, %", *yields), ("relative cost", *costs)]
     print_columns("", names, rows)
@@ -109,7 +110,7 @@ def _as_built(lens: Lens, tolerances: str) -> dict[str, Any]:
         cost: float | None = study.cost(lens)
     except InputError:  # the table has no price for one of the tolerances
         cost = None
-    return {"yield": prediction.good, "limits": prediction.merits, "cost": cost}
+    return {"yield": finite_or_none(prediction.good), "limits": prediction.merits, "cost": cost}
 
 
 def _short_names(designs: Sequence[Path]) -> list[str]:
@@ -130,7 +131,7 @@ def _as_dicts(
         values = {one.name: _number(one.values[k]) for one in found if one.values[k]}
         own: dict[str, Any] = {"design": str(path), "values": values, "met": constraints}
         if built is not None:
-            own["as_built"] = built[k] | {"yield": finite_or_none(built[k]["yield"])}
+            own["as_built"] = built[k]
         shown.append(own)
     return shown
 

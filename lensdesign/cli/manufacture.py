@@ -289,15 +289,15 @@ def _write_as_drawn(
 
 
 def _yield_notes(predicted_yield: DrawingYield, accepted: bool) -> list[str]:
-    notes = [
-        f"predicted yield with all tolerances of the sheet: {100.0 * predicted_yield.as_drawn_yield:.1f} %; "
-        f"by the study: {100.0 * predicted_yield.study_yield:.1f} %"
-    ]
+    notes = [predicted_yield.sentence]
+    if predicted_yield.reason:
+        notes.append(
+            "for the yield by trials, run the study that --study-as-drawn writes: tolerancing run STUDY "
+            "--store STORE"
+        )
     if predicted_yield.losses and accepted:
         notes.append(f"accepted loss of yield; the largest losses are {predicted_yield.worst}")
-    if predicted_yield.not_predicted:
-        notes.append(f"not part of the predicted yields: {', '.join(predicted_yield.not_predicted)}")
-    if not predicted_yield.is_trustworthy:
+    if not (predicted_yield.is_trustworthy or predicted_yield.reason):
         notes.append(
             "tolerances are too large for the prediction: run the study that --study-as-drawn writes"
         )

@@ -348,7 +348,9 @@ def _print_optimization(result: OptimizationResult) -> None:
     of_limit = result.goal_unit == "%" and result.goal != "yield"
     goal = f"{result.goal}, fraction of its limit" if of_limit else result.goal
     if result.goal in AS_BUILT_GOALS:
-        goal = f"{result.goal}, predicted"
+        rows = () if result.as_built is None else result.as_built.rows
+        by_trials = result.goal == "yield" and any(row.predicted_good is None for row in rows)
+        goal = f"{result.goal}, {'by trials' if by_trials else 'predicted'}"
     variables.add_row(goal, number_with_unit(f"{result.goal_value:.6g}", result.goal_unit))
     if len(result.spreads) > 1:
         for s in result.spreads:
@@ -439,7 +441,7 @@ def _losses(report: AsBuiltReport) -> list[Any]:
 def _yield_cells(good: float, low: float, high: float, predicted: float | None) -> tuple[str, str]:
     """Return a yield with its confidence interval by trials, and the predicted yield."""
     own = f"{100.0 * good:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})"
-    return own, "-" if predicted is None else f"{100.0 * predicted:.1f} %"
+    return own, "not predicted" if predicted is None else f"{100.0 * predicted:.1f} %"
 
 
 def _limits_of(report: AsBuiltReport, goal: str) -> list[str]:
@@ -451,7 +453,5 @@ def _limits_of(report: AsBuiltReport, goal: str) -> list[str]:
     lines += [f"  {one.merit} {one.limit}: {one.conditions}" for one in merits]
     searched = {one.merit for one in report.rows[-1].losses} if goal == LOSS_GOAL else set()
     if remaining := [name for name in report.trials_only if name not in searched]:
-        lines.append(
-            f"not included in the search and the predictions, scored by trials only: {', '.join(remaining)}"
-        )
+        lines.append(f"not included in the search, but in the trials: {', '.join(remaining)}")
     return lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,7 @@ from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import GRADES, Json, Trust, output_option
 from lensdesign.common.outputs import output_file
 from lensdesign.common.progress import progress_count
-from lensdesign.common.text import counted_reasons, known_text, visible
+from lensdesign.common.text import counted_reasons, visible
 from lensdesign.files.formats import LENS_FORMATS
 
 if TYPE_CHECKING:
@@ -204,4 +205,6 @@ def _yield_text(match: StockMatch) -> str:
         return f"{100.0 * built.good:.1f} % ({100.0 * built.low:.1f} to {100.0 * built.high:.1f})"
     if match.predicted_yield is None:
         return ""
-    return known_text(f"{100.0 * match.predicted_yield:.1f} %") + ", predicted"
+    if not math.isfinite(match.predicted_yield):
+        return "not predicted"
+    return f"{100.0 * match.predicted_yield:.1f} %, predicted"

@@ -143,6 +143,9 @@ def axes_of(text: str, specification: Specification) -> tuple[Axis, ...]:
             f"--over {text}: cost has no effect without as_built_rms or yield; add one of them, or set "
             "min_yield or max_as_built_rms_waves in the specification"
         )
+    if "yield" in names:
+        assert specification.tolerances is not None  # ensured by _axis
+        read_as_built(specification.tolerances).check_whole_yields()
     # Inputs come first, so that the last objective is a goal.
     return tuple(sorted(axes, key=lambda axis: not axis.objective.scanned))
 

@@ -120,14 +120,17 @@ class AsBuiltPrediction:
     rms_waves : tuple of float
         Root mean square wavefront error over pupil and lenses, at each object point.
     good
-        Fraction of lenses that keep all predictable limits; NaN if there are none.
+        Yield: fraction of lenses that keep all limits of the study; NaN if it is not predicted.
     merits : dict
-        Fraction of lenses that keep each of these limits alone, by the name of the merit.
+        Fraction of lenses that keep each predicted limit alone, by the name of the merit.
+    within_searched
+        Fraction of lenses that keep the limits that a search knows; NaN if there are none.
     """
 
     rms_waves: tuple[float, ...]
     good: float
     merits: dict[str, float]
+    within_searched: float
 
 
 @dataclass(frozen=True)
@@ -149,7 +152,7 @@ class TrialsOf:
     good, low, high
         Yield: the fraction of lenses that keep all limits of the study, and its 95 % interval.
     predicted_good
-        Predicted fraction of lenses that keep all predictable limits; None if there are none.
+        Predicted yield; None if it is not predicted.
     merits : tuple of MeritYield
         Yield of each limit of the study alone.
     losses : tuple of MeritLoss
@@ -184,7 +187,7 @@ class AsBuiltReport:
     seed
         Seed with which a run of the study draws the same trials.
     trials_only : tuple of str
-        Names of the merits that cannot be predicted. The search ignores them; the trials include them.
+        Names of the merits that a search does not know. The trials include them.
     rows : tuple of TrialsOf
         Trials of each lens. The last rows are the result as designed, then at each temperature.
     """
@@ -225,6 +228,9 @@ class AsBuilt(Protocol):
 
     def check_yields(self) -> None:
         """Raise a DesignError if no yield of the study can be predicted."""
+
+    def check_whole_yields(self) -> None:
+        """Raise a DesignError if the study has a limit without a prediction."""
 
     def check_losses(self, lens: Lens) -> None:
         """Raise a DesignError if the reconstruction losses of a lens cannot be predicted."""

@@ -305,7 +305,8 @@ class DesignProblem:
     def predicted(self, point: Array, lens: Lens | None = None) -> tuple[AsBuiltValues, ...]:
         """Predict the lens as built at a point, as designed and at each temperature.
 
-        The prediction is that of finished lenses, which is of second order, and not that of the search.
+        The prediction is that of finished lenses, which is of second order, and not that of the search. The
+        yield is that of the limits that a search knows if not all limits of the study are predicted.
 
         Parameters
         ----------
@@ -328,7 +329,10 @@ class DesignProblem:
         found = (study.predict(one) for one in (lens, *heated))
         return tuple(
             AsBuiltValues(
-                np.array(one.rms_waves), np.zeros((len(one.rms_waves), 0)), 1.0 - one.good, np.zeros(0)
+                np.array(one.rms_waves),
+                np.zeros((len(one.rms_waves), 0)),
+                1.0 - (one.good if np.isfinite(one.good) else one.within_searched),
+                np.zeros(0),
             )
             for one in found
         )

@@ -446,13 +446,13 @@ def _shown_goal(
 def _built_goal(
     specification: Specification, lens: Lens, goals: list[Operand], built: AsBuiltReport
 ) -> tuple[float, str]:
-    """Return the predicted goal of lenses as built, at all temperatures."""
+    """Return the goal of lenses as built at all temperatures, predicted or, for some yields, by trials."""
     environment = specification.environment
     own = built.rows[-1 - (0 if environment is None else len(environment.temperatures_c)) :]
     if specification.optimize.goal == "as-built rms":
         return max(max(row.predicted_rms_waves) for row in own), "waves"
     if specification.optimize.goal == "yield":
-        return 100.0 * min(row.predicted_good for row in own if row.predicted_good is not None), "%"
+        return 100.0 * min(row.good if row.predicted_good is None else row.predicted_good for row in own), "%"
     if specification.optimize.goal == LOSS_GOAL:
         return max(loss.predicted for row in own for loss in row.losses), ""
     return _goal(specification, lens, goals)

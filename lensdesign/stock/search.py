@@ -120,7 +120,7 @@ class StockMatch:
     spacing_mm : float or None
         Distance between the two lenses of a pair.
     predicted_yield : float or None
-        Predicted fraction of good lenses as built, if requested; NaN if the study has no predictable limit.
+        Predicted fraction of good lenses as built, if requested; NaN if it is not predicted.
     built : TrialsOf or None
         Trials of the lens as built, if requested.
     """

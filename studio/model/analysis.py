@@ -1,10 +1,11 @@
-"""Analysis of a lens in three stages: rays, pupils, patch."""
+"""Analysis of a lens in four stages: rays, pupils, patch, and the lens as built."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 from lensdesign.analysis.check import check_design
@@ -108,6 +109,8 @@ class AnalysisRequest:
         Tolerances of the prediction; None: no prediction.
     no_quality
         Reason why the chosen tolerances cannot be used; empty if they can, or if none are chosen.
+    proceed
+        Function that a long stage calls from time to time; it may raise an exception to end the stage.
     patch_fraction
         Field height of the patch, as a fraction of the half field.
     """
@@ -117,6 +120,7 @@ class AnalysisRequest:
     quality: ManufacturingQuality | None
     patch_fraction: float
     no_quality: str = ""
+    proceed: Callable[[], None] = lambda: None
 
 
 def rays_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
@@ -136,26 +140,28 @@ def rays_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
 
 
 def waves_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
-    """Compute pupils at three object points, and the prediction as built."""
-    started, lens, quality = time.perf_counter(), request.lens, request.quality
-    reasons: dict[str, str] = {"built": request.no_quality} if request.no_quality else {}
+    """Compute pupils at three object points."""
+    started, lens = time.perf_counter(), request.lens
+    reasons: dict[str, str] = {}
     samples = SAMPLES if settled else COARSE
     with one_blas_thread():
         what_if, heights = request.what_if.of(lens), field_heights_mm(lens)
         pupils = _tried("pupils", lambda: analyse_pupils(lens, what_if, heights, samples), reasons)
-        as_built = (
-            None
-            if quality is None
-            else _tried("built", lambda: built(lens, quality, settled=settled), reasons)
-        )
     return LensAnalysis(
-        lens,
-        settled,
-        pupils=pupils or (),
-        built=as_built,
-        reasons=reasons,
-        seconds=(time.perf_counter() - started,),
+        lens, settled, pupils=pupils or (), reasons=reasons, seconds=(time.perf_counter() - started,)
     )
+
+
+def built_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
+    """Compute the prediction as built."""
+    started, lens, quality = time.perf_counter(), request.lens, request.quality
+    reasons: dict[str, str] = {"built": request.no_quality} if request.no_quality else {}
+    found = None
+    with one_blas_thread():
+        if quality is not None:
+            predict = partial(built, lens, quality, settled=settled, proceed=request.proceed)
+            found = _tried("built", predict, reasons)
+    return LensAnalysis(lens, settled, built=found, reasons=reasons, seconds=(time.perf_counter() - started,))
 
 
 def patch_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
@@ -170,8 +176,13 @@ def patch_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
     return LensAnalysis(lens, settled, patch=patch, reasons=reasons, seconds=(time.perf_counter() - started,))
 
 
-STAGES = ((rays_of, ("layout", "check")), (waves_of, ("pupils", "built")), (patch_of, ("patch",)))
-"""Stages of an analysis, and the names of their results."""
+STAGES: tuple[tuple[Callable[..., LensAnalysis], tuple[str, ...]], ...] = (
+    (rays_of, ("layout", "check")),
+    (waves_of, ("pupils",)),
+    (patch_of, ("patch",)),
+    (built_of, ("built",)),
+)
+"""Stages of an analysis, and the names of their results; the longest comes last."""
 
 
 def _tried(name: str, compute: Callable[[], Found], reasons: dict[str, str]) -> Found | None:

@@ -12,6 +12,7 @@ import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,10 @@ from studio.model.values import parsed, path_of_key
 from studio.model.whatif import WhatIf
 
 Listener = Callable[[], None]
+
+
+class _Superseded(Exception):
+    """The design has changed since the start of an analysis."""
 
 
 class Workbench:
@@ -244,6 +249,8 @@ class Workbench:
             try:
                 self._keep()
                 self._analyse(done)
+            except _Superseded:
+                continue
             except Exception as error:
                 # Without this, the page would go on to show the figures of an earlier lens.
                 traceback.print_exc(file=sys.stderr)
@@ -255,7 +262,7 @@ class Workbench:
         (rays, ray_names), *others = STAGES
         request = AnalysisRequest(self.lens, self.what_if, None, self.patch_fraction)
         self._publish(rays(request, settled=False), ray_names, number)
-        request = self._with_quality(request)
+        request = replace(self._with_quality(request), proceed=partial(self._check_current, number))
         for stage, names in others:
             self._publish(stage(request, settled=False), names, number)
         self._analysed = max(self._analysed, number)
@@ -265,6 +272,11 @@ class Workbench:
                 self._publish(stage(request, settled=True), names, number)
                 if self._requested != number:
                     return
+
+    def _check_current(self, number: int) -> None:
+        """End the analysis of a state that has changed since."""
+        if self._ended or self._requested != number:
+            raise _Superseded
 
     def _is_idle(self, done: int) -> bool:
         with self._condition:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -82,8 +83,16 @@ def manufacturing_quality(name: str, lens: Lens) -> ManufacturingQuality:
     return ManufacturingQuality(Path(name).name, study_by_name(name, lens))
 
 
-def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) -> AsBuiltPrediction:
+def built(
+    lens: Lens,
+    quality: ManufacturingQuality,
+    *,
+    settled: bool = True,
+    proceed: Callable[[], None] = lambda: None,
+) -> AsBuiltPrediction:
     """Predict a lens as built, like `tolerancing predict`, or coarsely if not `settled`.
+
+    `proceed` is called from time to time, and may raise an exception to end the prediction.
 
     Raises
     ------
@@ -92,7 +101,7 @@ def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) ->
     """
     check_against(quality.study, lens, quality.name)
     batch = quality.drawn if settled else quality.coarse_batch
-    prediction = predict_study(lens, quality.study, batch, quick=not settled)
+    prediction = predict_study(lens, quality.study, batch, quick=not settled, proceed=proceed)
     try:
         cost = cost_of(quality.study, lens, _costs()).total
     except InputError:

@@ -18,6 +18,7 @@ from studio.model.files import remember, typed_path
 from studio.panes.common import Guarded, bench_of, follow, message_pane, text
 from studio.panes.files import FileChoice
 from tolerancing.perturbations.grades import GRADES
+from tolerancing.prediction.study_prediction import StudyPrediction
 from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
 
@@ -112,13 +113,17 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
             for name, fraction in (() if waves is None else _contributions(waves)[:7])
         )
         cost = "" if found.cost is None else f" · cost {found.cost:.2f}"
-        others = ", ".join(words_and_unit(name)[0] for name in predicted.not_predicted)
-        note = f"<p>not in this yield, scored by trials only: {text(others)}</p>" if others else ""
-        if "built" in bench.analysis.exact and not predicted.is_trustworthy:
-            note += '<p class="miss">too large tolerances for a prediction: run a study under Tolerances</p>'
+        is_exact = "built" in bench.analysis.exact
+        open_text = "not predicted" if is_exact else "…"
+        limits += "".join(
+            f"<tr><td>{text(words_and_unit(name)[0])}</td><td>{open_text}</td></tr>"
+            for name in predicted.not_predicted
+        )
+        note = ""
+        if is_exact and predicted.joint is not None and not predicted.is_trustworthy:
+            note = '<p class="miss">too large tolerances for a prediction: run a study under Tolerances</p>'
         shown.object = (
-            f'<div class="text-block"><p class="yield" data-yield="{predicted.yield_fraction!r}">'
-            f"<b>{100.0 * predicted.yield_fraction:.1f} %</b> of lenses keep all limits at once{cost}</p>"
+            f'<div class="text-block">{_yield_line(predicted, is_exact, cost)}'
             f"<table class='facts'><tr><th>each limit alone</th><th>good</th></tr>{limits}</table>"
             f"{note}<table class='facts'><tr><th>field</th><th>rms</th></tr>{points}</table>"
             f'<table class="bars">{bars}</table></div>'
@@ -126,6 +131,22 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
 
     follow(bench, pane, update)
     return pane
+
+
+def _yield_line(predicted: StudyPrediction, is_exact: bool, cost: str) -> str:
+    """Return the yield over all limits of the study, or why there is none."""
+    alone = ",".join(repr(one.yield_fraction) for one in predicted.limits)
+    start = f'<p class="yield" data-limits="{alone}" data-yield='
+    if (joint := predicted.joint) is not None:
+        return (
+            f'{start}"{joint.fraction!r}"><b>{100.0 * joint.fraction:.1f} %</b> of lenses keep all limits at '
+            f"once{cost}<br><small>95 % interval {100.0 * joint.low:.1f} to {100.0 * joint.high:.1f} %, "
+            f"{joint.draws} drawn lenses</small></p>"
+        )
+    if not is_exact:
+        return f'{start}"">yield: predicted when the values rest{cost}</p>'
+    why = f"{text(predicted.reason)}: run a study under Tolerances"
+    return f'{start}"">yield not predicted{cost}</p><p>{why}</p>'
 
 
 def _contributions(waves: WavefrontPrediction) -> list[tuple[str, float]]:

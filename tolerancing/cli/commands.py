@@ -338,9 +338,11 @@ def _print_trial(trial: SingleTrial) -> None:
 
 
 def _predicted(store: Store) -> StudyPrediction | None:
-    """Return the prediction of `tolerancing predict`; None if nothing of the study can be predicted."""
-    from tolerancing.prediction.study_prediction import predict_study
+    """Return the prediction of `tolerancing predict` if all merits have one that takes a second or two."""
+    from tolerancing.prediction.study_prediction import is_predicted, predict_study
 
+    if not all(is_predicted(merit) for merit in store.study.merits):
+        return None
     try:
         return predict_study(store.loaded.lens, store.study)
     except TransferLensError:
@@ -348,12 +350,10 @@ def _predicted(store: Store) -> StudyPrediction | None:
 
 
 def _summary_dict(summary: Summary, predicted: StudyPrediction | None) -> dict[str, Any]:
-    own: dict[str, Any] = {"predicted_yield": None}
-    if predicted is not None:
-        own = {
-            "predicted_yield": predicted.yield_fraction,
-            "predicted_limits": [one.merit.label for one in predicted.limits],
-        }
+    if predicted is None:
+        return summary.as_dict() | {"predicted_yield": None}
+    found = cli_predict.yield_dict(predicted)
+    own = {f"predicted_{name}": found[name] for name in ("yield", "yield_low", "yield_high")}
     return summary.as_dict() | own
 
 
@@ -380,8 +380,7 @@ def _print_summary(summary: Summary, predicted: StudyPrediction | None) -> None:
         if row.merit.location:
             print(f"{row.merit.label}: {row.merit.location}")
     if predicted is not None:
-        merits = ", ".join(one.merit.label for one in predicted.limits)
-        print(f"predicted without trials: {100.0 * predicted.yield_fraction:.1f} % within {merits} at once")
+        print(f"yield without trials: {cli_predict.yield_text(predicted)}")
     if summary.failed:
         print(f"{summary.failed} trials could not be scored and count as bad")
     if not summary.complete:

@@ -9,9 +9,12 @@ import typer
 from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import StudyFile
+from lensdesign.common.text import finite_or_none
 from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tolerancing.prediction.ray_prediction import RayPrediction
     from tolerancing.prediction.study_prediction import StudyPrediction
     from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
@@ -26,16 +29,17 @@ def predict(
         bool, typer.Option("--json", help="Print one JSON object.", rich_help_panel=OptionGroup.OUTPUT)
     ] = False,
 ) -> None:
-    """Predict wavefronts, spreads, footprints and yields from the rays of the nominal lens, without trials.
+    """Predict yields, wavefronts, spreads and footprints from the rays of the nominal lens, without trials.
 
-    The yield is joint: the fraction of lenses that keep all limits at once. Limits of the merits rms_waves,
-    strehl, largest_spread_deg and footprint_radius_mm are predicted; others are named. Wavefronts, after the
-    image is registered and refocused, are predicted to second order in the perturbations, and rays to first
-    order; 64 traced draws show whether that suffices.
+    The yield is joint: the fraction of lenses that keep all limits of the study at once. It is printed only
+    if every limit is predicted: those of rays, of pupils (rms_waves, strehl, line_pair_contrast, ...) and of
+    reconstruction_loss. Other merits need trials. Wavefronts are predicted to second order in the
+    perturbations, rays and losses to first order; 16 to 64 traced draws measure the error.
 
     Example: tolerancing predict study.toml
 
-    Exit status: 0 if these orders suffice, 1 if not and trials should be run, 2 for bad input.
+    Exit status: 0 if the yield is predicted and the errors are small, 1 if not and trials should be run, 2
+    for bad input.
     """
     from tolerancing.prediction.study_prediction import predict_study
     from tolerancing.study.files import load_study
@@ -47,11 +51,10 @@ def predict(
         waves = {} if found.wavefronts is None else _as_dict(found.wavefronts)
         print_json(
             {
-                "yield": found.yield_fraction,
+                **yield_dict(found),
                 "limits": {one.merit.label: one.yield_fraction for one in found.limits},
-                "not_predicted": list(found.not_predicted),
+                "errors": {one.merit.label: finite_or_none(one.error) for one in found.limits},
                 **waves,
-                "draws": found.draws,
                 "rays": _rays_dict(found.rays, columns),
             }
         )
@@ -60,25 +63,63 @@ def predict(
             _print(loaded.study.title, found.wavefronts)
         if found.rays:
             _print_rays(loaded.study.title, found.rays, columns)
-        _print_yield(found)
+        _print_yield(found, study)
     raise typer.Exit(0 if found.is_trustworthy else 1)
 
 
-def _print_yield(found: StudyPrediction) -> None:
+def yield_dict(found: StudyPrediction) -> dict[str, Any]:
+    """Return the predicted yield over all limits for JSON; null with a reason if it is not predicted."""
+    joint = found.joint
+    return {
+        "yield": None if joint is None else joint.fraction,
+        "yield_low": None if joint is None else joint.low,
+        "yield_high": None if joint is None else joint.high,
+        "draws": found.draws,
+        "not_predicted": list(found.not_predicted),
+        "reason": found.reason,
+    }
+
+
+def yield_text(found: StudyPrediction) -> str:
+    """Return the predicted yield with its interval, or why it is not predicted, as one phrase."""
+    joint = found.joint
+    if joint is None:
+        return f"not predicted: {found.reason}"
+    interval = f"{100.0 * joint.low:.1f} - {100.0 * joint.high:.1f} %"
+    return f"{100.0 * joint.fraction:.1f} % of lenses keep all limits at once (95 % interval {interval})"
+
+
+def _print_yield(found: StudyPrediction, study: Path) -> None:
     rows = [
-        (one.merit.label, one.merit.limit_text, one.merit.location, f"{100.0 * one.yield_fraction:.1f}")
+        (
+            one.merit.label,
+            one.merit.limit_text,
+            one.merit.location,
+            f"{100.0 * one.yield_fraction:.1f}",
+            f"{one.error:.2g}",
+        )
         for one in found.limits
     ]
-    last = ("all limits at once", "", "", f"{100.0 * found.yield_fraction:.1f}")
-    print_table("Predicted yield", ["merit", "limit", "field points"], ["good, %"], rows, last)
-    print(f"{found.draws} drawn lenses; no trial was traced")
-    if found.not_predicted:
-        print(f"not in this yield, scored by trials only: {', '.join(found.not_predicted)}; run the study")
+    rows += [(label, "", "", "not predicted", "") for label in found.not_predicted]
+    joint = found.joint
+    together = "not predicted" if joint is None else f"{100.0 * joint.fraction:.1f}"
+    heads = ["good, %", "error of a score"]
+    last = ("all limits at once", "", "", together, "")
+    print_table("Predicted yield", ["merit", "limit", "field points"], heads, rows, last)
+    if joint is None:
+        print(
+            f"the yield is {yield_text(found)}; by trials: tolerancing run {study} --store "
+            f"{study.with_suffix('.db')}"
+        )
+        return
+    print(f"{yield_text(found)}, from {joint.draws} drawn lenses")
+    print("the error of a score is that of the draws that were traced as well; no trial was run")
 
 
 def _as_dict(found: WavefrontPrediction) -> dict[str, Any]:
     return {
-        "good": found.good,
+        "within_wavefront_limits": found.good,
+        "wavefront_error": finite_or_none(found.relative_error),
         "second_order_suffices": found.second_order_suffices,
         "points": [
             {
@@ -133,7 +174,10 @@ def _print(title: str, found: WavefrontPrediction) -> None:
     points = ["({:g}, {:g})".format(*p.judged.field_mm) for p in found.points]
     print_table("Fraction of the mean square, %", ["perturbation"], points, shares)
     if not found.second_order_suffices:
-        print("tolerances are too large for the second order, whose error may be 5 % or more: run the study")
+        print(
+            f"tolerances are too large for the second order: it differs from traced draws by "
+            f"{100.0 * found.relative_error:.0f} %; run the study"
+        )
 
 
 def _print_rays(title: str, rays: tuple[RayPrediction, ...], columns: tuple[str, ...]) -> None:

@@ -29,9 +29,10 @@ from tolerancing.prediction.as_drawn_study import (
     with_value,
 )
 from tolerancing.prediction.drawing_indication import OF_ELEMENT, DrawingIndication, Key
+from tolerancing.prediction.drawn_scores import is_scored_by_draw
 from tolerancing.prediction.factor_yields import FirstOrderYield, JointYield
 from tolerancing.prediction.ray_prediction import predicted_merits
-from tolerancing.prediction.study_prediction import predict_study
+from tolerancing.prediction.study_prediction import StudyPrediction, is_predicted, predict_study
 from tolerancing.prediction.wavefront_prediction import is_predicted_wavefront
 from tolerancing.study.files import check_against, save_study
 from tolerancing.study.study import Study
@@ -99,7 +100,7 @@ class DrawingYieldPredictor:
             search.tighten(joint, JOINT_STEPS)
         return DerivedTolerances(
             tuple(_written(sheet, search.chosen, k, lens) for k, sheet in enumerate(sheets)),
-            tuple(_notes(search)),
+            tuple(_notes(search, self.study)),
         )
 
     def predict(
@@ -119,15 +120,16 @@ class DrawingYieldPredictor:
         DesignError
             If the study does not fit the lens, or rays do not pass.
         """
-        if not self._predictable:
+        if not any(is_predicted(merit) or is_scored_by_draw(merit) for merit in self.study.merits):
             return None
         check_against(self.study, drawn, self.source)
         own = predict_study(designed, self.study)
         items = drawing_indications(drawn, self.study, sheets)
         as_drawn = as_drawn_study(drawn, self.study, items)
         found = predict_study(drawn, as_drawn.study)
+        loss = _loss(own, found)
         losses: list[tuple[str, float]] = []
-        if own.yield_fraction - found.yield_fraction > MAX_YIELD_LOSS:
+        if loss > MAX_YIELD_LOSS:
             losses = _losses(drawn, as_drawn)
 
         def save(path: Path, design: str) -> None:
@@ -140,13 +142,25 @@ class DrawingYieldPredictor:
             save_study(as_drawn.study.model_copy(update={"title": title, "design": design}), path)
 
         return DrawingYield(
-            own.yield_fraction,
-            found.yield_fraction,
+            own.yield_fraction if found.joint else None,
+            found.yield_fraction if own.joint else None,
+            loss,
             tuple(losses),
             own.is_trustworthy and found.is_trustworthy,
-            found.not_predicted,
+            found.reason or own.reason,
             save,
         )
+
+
+def _loss(own: StudyPrediction, found: StudyPrediction) -> float:
+    """Return the loss of yield by a drawing, from the predictions of the study as given and as drawn."""
+    if own.joint and found.joint and own.joint.draws == len(own.limits[0].scores):
+        return own.joint.fraction - found.joint.fraction
+    loss = own.within_wavefronts_and_rays - found.within_wavefronts_and_rays
+    # Merits that are scored draw by draw have fewer draws, so only a clear difference counts.
+    if own.joint and found.joint and found.joint.high < own.joint.low:
+        loss = max(loss, own.joint.fraction - found.joint.fraction)
+    return loss
 
 
 def _losses(lens: Lens, as_drawn: AsDrawnStudy) -> list[tuple[str, float]]:
@@ -348,8 +362,10 @@ def _written(
     return sheet
 
 
-def _notes(search: _Search) -> list[str]:
+def _notes(search: _Search, study: Study) -> list[str]:
     """Return notes on the derived values."""
+    known = [merit.label for merit in study.merits if is_predicted(merit)]
+    lost = "yield" if len(known) == len(study.merits) else f"the lenses within {', '.join(known)}"
     notes = []
     if search.shared:
         texts = ", ".join(search.chosen[key].text for key in sorted(search.shared))
@@ -357,7 +373,7 @@ def _notes(search: _Search) -> list[str]:
             f"derived from the study, whose tilt of one surface is divided between both surfaces: {texts}"
         )
     derived = [
-        f"{item.text}, loses {100.0 * max(search.costs[item.key], 0.0):.1f} percentage points of yield"
+        f"{item.text}, loses {100.0 * max(search.costs[item.key], 0.0):.1f} percentage points of {lost}"
         for old in search.opened
         if (item := search.chosen[old.key]).value != old.value or old.origin == "open"
         if item.key not in search.shared

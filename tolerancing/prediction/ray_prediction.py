@@ -43,21 +43,29 @@ class RayPrediction:
         Score of the nominal lens.
     mean, deviation : float
         Mean and standard deviation over lenses.
-    passed : ndarray of bool, shape (draws,)
-        True for drawn lenses within the limit.
+    scores : ndarray, shape (draws,)
+        Scores of the drawn lenses.
     alone : ndarray, shape (perturbations,)
         Standard deviation for each perturbation alone.
+    error : float
+        Root mean square error of the predictions for the traced draws; 0 if none was traced.
     relative_error : float
-        Root mean square error of the predictions for the traced draws, as a fraction of their deviation.
+        The same as a fraction of the deviation of the traced draws.
     """
 
     merit: RayMerit
     nominal: float
     mean: float
     deviation: float
-    passed: NDArray[np.bool_]
+    scores: Array
     alone: Array
+    error: float
     relative_error: float
+
+    @property
+    def passed(self) -> NDArray[np.bool_]:
+        """True for drawn lenses within the limit, shape (draws,)."""
+        return self.merit.passed(self.scores)
 
     @property
     def good(self) -> float:
@@ -201,7 +209,7 @@ def predict_rays(
     unperturbed = replace(blocks[0], values=np.zeros_like(blocks[0].values))
     nominal = _scores(merits, context, unperturbed)[0]
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
-    relative_error = np.zeros(len(merits))
+    errors, relative_error = np.zeros(len(merits)), np.zeros(len(merits))
     if checked:
         # The first 64 draws are traced.
         traced = _scores(merits, Context(lens, study.sampling), drawn.subset(slice(0, 64)))
@@ -214,8 +222,9 @@ def predict_rays(
             float(nominal[k]),
             float(np.mean(scores[:, k])),
             float(np.std(scores[:, k])),
-            merit.passed(scores[:, k]),
+            scores[:, k],
             alone[:, k],
+            float(errors[k]),
             float(relative_error[k]),
         )
         for k, merit in enumerate(merits)

@@ -27,6 +27,7 @@ from tolerancing.cost.pricing import cost_of
 from tolerancing.cost.table import CostTable, load_costs
 from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.prediction.drawing_yield import DrawingYieldPredictor
+from tolerancing.prediction.drawn_scores import is_scored_by_draw
 from tolerancing.prediction.goals.compensated import CompensatedWaves, WavefrontLoads
 from tolerancing.prediction.goals.design import DesignPoint, Scatter, bent, sized
 from tolerancing.prediction.goals.joint_yield import DrawnLoads, failing_fraction
@@ -35,11 +36,8 @@ from tolerancing.prediction.goals.ray_loads import FollowedRays, RayLoads, judge
 from tolerancing.prediction.goals.reconstruction_loss import SearchedLosses
 from tolerancing.prediction.goals.trials import predicted_of, trials_of
 from tolerancing.prediction.ray_prediction import predicted_merits
-from tolerancing.prediction.wavefront_prediction import (
-    WavefrontLimit,
-    is_predicted_wavefront,
-    wavefront_points,
-)
+from tolerancing.prediction.study_prediction import is_predicted
+from tolerancing.prediction.wavefront_prediction import WavefrontLimit, wavefront_points
 from tolerancing.study.evaluate import compensated_points, prepare_merits
 from tolerancing.study.files import check_against, load_study, study_by_name
 from tolerancing.study.scaling import write_scaled_study
@@ -123,10 +121,8 @@ class StudyAsBuilt:
 
     @cached_property
     def trials_only(self) -> tuple[str, ...]:
-        """Names of the merits that cannot be predicted and are scored by trials only."""
-        known = {m.label for m in predicted_merits(self.study)}
-        known |= {m.label for m in self.study.merits if is_predicted_wavefront(m)}
-        return tuple(m.label for m in self.study.merits if m.label not in known)
+        """Names of the merits that a search does not know."""
+        return tuple(m.label for m in self.study.merits if not is_predicted(m))
 
     @property
     def loss_merits(self) -> tuple[str, ...]:
@@ -214,9 +210,23 @@ class StudyAsBuilt:
         """
         if not self.judged and not predicted_merits(self.study):
             raise DesignError(
-                f"{self.source}: no merit can be predicted without trials ({', '.join(self.trials_only)}), "
-                "so a search cannot use it: add one of kind rms_waves, strehl, largest_spread_deg or "
+                f"{self.source}: a search knows none of the merits ({', '.join(self.trials_only)}), "
+                "so it cannot use the study: add one of kind rms_waves, strehl, largest_spread_deg or "
                 "footprint_radius_mm"
+            )
+
+    def check_whole_yields(self) -> None:
+        """Check that all limits of the study are predicted, so that their yield is that of the study.
+
+        Raises
+        ------
+        DesignError
+        """
+        missing = [m.label for m in self.study.merits if not (is_predicted(m) or is_scored_by_draw(m))]
+        if missing:
+            raise DesignError(
+                f"{self.source}: its yield cannot be explored, since {', '.join(missing)} can be scored by "
+                "trials only: explore as_built_rms, or remove these merits from the study"
             )
 
     def check_losses(self, lens: Lens) -> None:
@@ -291,8 +301,8 @@ class StudyAsBuilt:
 
     def predict(self, lens: Lens) -> AsBuiltPrediction:
         """Predict a finished lens as the command `tolerancing predict` does."""
-        if not self.judged and not predicted_merits(self.study):
-            return AsBuiltPrediction((), math.nan, {})
+        if not any(is_predicted(merit) or is_scored_by_draw(merit) for merit in self.study.merits):
+            return AsBuiltPrediction((), math.nan, {}, math.nan)
         lens = self._fitting(lens)
         return predicted_of(lens, self._toleranced(self.study, lens))
 

@@ -48,29 +48,38 @@ class DrawingYield:
     ----------
     study_yield, as_drawn_yield
         Yield (0 to 1) of the designed lens with the tolerances of the study, and of the drawn lens with
-        those of the drawing.
+        those of the drawing; None if not every limit of the study can be predicted.
+    loss
+        Loss of yield by the drawing, in comparison with the study. Where the yield is not predicted, or its
+        difference is within its interval, it is the loss within the limits on wavefronts and rays.
     losses
         Indications that the study does not have, each with the yield that it alone costs, largest first.
         Computed only if the total loss exceeds :data:`MAX_YIELD_LOSS`.
     is_trustworthy
         Whether the estimated higher-order terms of the prediction are small.
-    not_predicted
-        Merits of the study that only Monte Carlo trials can evaluate.
+    reason
+        Why the yields are not predicted; empty if they are.
     save
         Function that writes the study with the drawing's tolerances: ``save(path, design)``.
     """
 
-    study_yield: float
-    as_drawn_yield: float
+    study_yield: float | None
+    as_drawn_yield: float | None
+    loss: float
     losses: tuple[tuple[str, float], ...]
     is_trustworthy: bool
-    not_predicted: tuple[str, ...]
+    reason: str
     save: Callable[[Path, str], None]
 
     @property
-    def loss(self) -> float:
-        """Difference of the yields of study and drawing."""
-        return self.study_yield - self.as_drawn_yield
+    def sentence(self) -> str:
+        """Yields with all tolerances of the drawing and of the study, in words."""
+        if self.study_yield is None or self.as_drawn_yield is None:
+            return f"yield with all tolerances of this drawing not predicted: {self.reason}"
+        return (
+            f"predicted yield with all tolerances of this drawing {100.0 * self.as_drawn_yield:.1f} %, "
+            f"by the study {100.0 * self.study_yield:.1f} %"
+        )
 
     @property
     def worst(self) -> str:
@@ -166,16 +175,12 @@ def drawing_with_yield(
     stated = Stated(second.lens, (*second.notes, *derived.notes), second.tolerances)
     predicted_yield = predictor.predict(lens, stated.lens, stated.tolerances)
     if predicted_yield is not None:
-        drawn, own = (
-            f"{100.0 * found:.1f} %"
-            for found in (predicted_yield.as_drawn_yield, predicted_yield.study_yield)
-        )
         if predicted_yield.loss > MAX_YIELD_LOSS and not accept_yield_loss:
             raise InputError(
-                f"the sheet allows more than {assumed.source}: predicted yield as drawn {drawn}, by the "
-                f"study {own}; the largest losses are {predicted_yield.worst}; add these perturbations to "
-                "the study, state closer values for them (--sheet), or accept the loss with "
-                "--accept-yield-loss"
+                f"the sheet allows more than {assumed.source}: it loses {100.0 * predicted_yield.loss:.1f} "
+                f"percentage points of its yield; {predicted_yield.sentence}; the largest losses are "
+                f"{predicted_yield.worst}; add these perturbations to the study, state closer values for "
+                "them (--sheet), or accept the loss with --accept-yield-loss"
             )
         completed = completed.replaced(remark=_remark(predicted_yield, assumed, options))
     drawing = lens_drawing(stated.lens, completed.replaced(tolerances=stated.tolerances))
@@ -183,9 +188,5 @@ def drawing_with_yield(
 
 
 def _remark(predicted_yield: DrawingYield, assumed: AssumedTolerances, options: DrawingOptions) -> str:
-    own = (
-        f"{DERIVED_MARK} derived from {assumed.source}; predicted yield with all tolerances of this drawing "
-        f"{100.0 * predicted_yield.as_drawn_yield:.1f} %, "
-        f"by the study {100.0 * predicted_yield.study_yield:.1f} %"
-    )
+    own = f"{DERIVED_MARK} derived from {assumed.source}; {predicted_yield.sentence}"
     return f"{own}; {options.remark}" if options.remark else own

@@ -81,7 +81,7 @@ def test_nothing_is_derived_where_general_tolerances_cost_nothing(loaded: Loaded
 def test_a_study_of_other_merits_is_not_scored(loaded: LoadedStudy, general) -> None:
     from tolerancing.merits.registry import merit_from_table
 
-    table = {"kind": "line_pair_contrast", "line_width_um": 1.0, "at_least": 0.5}
+    table = {"kind": "throughput", "at_least": 0.5}
     study = loaded.study.model_copy(update={"all_merits": (merit_from_table(table, "here"),)})
     predictor = DrawingYieldPredictor(study, "study")
     assert predictor.derive(general.lens, general.tolerances).tolerances == general.tolerances

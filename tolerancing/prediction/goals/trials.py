@@ -40,8 +40,9 @@ def predicted_of(lens: Lens, study: Study) -> AsBuiltPrediction:
     points = () if found.wavefronts is None else found.wavefronts.points
     return AsBuiltPrediction(
         tuple(point.rms_waves for point in points),
-        found.yield_fraction,
+        math.nan if found.yield_fraction is None else found.yield_fraction,
         {limit.merit.label: limit.yield_fraction for limit in found.limits},
+        found.within_wavefronts_and_rays,
     )
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.common.tables import read_number, read_table
 from lensdesign.common.text import quantity_label
 from lensdesign.errors import InputError
 from lensdesign.plots.style import BLUE, GREY, RED, styled_figure
+from tolerancing.prediction.study_prediction import is_predicted
 from tolerancing.report.blocks import (
     Block,
     FigureBlock,
@@ -31,8 +31,9 @@ from tolerancing.report.figures.style import chart_style
 from tolerancing.statistics.summary import Summary
 
 if TYPE_CHECKING:
-    from tolerancing.prediction.study_prediction import StudyPrediction
+    from tolerancing.prediction.study_prediction import PredictedYield, StudyPrediction
     from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
+    from tolerancing.statistics.yields import Yield
 
 
 @dataclass(frozen=True)
@@ -144,53 +145,68 @@ def _predicted(data: ReportData, found: StudyPrediction | None) -> list[Block]:
     blocks = [*_predicted_yield(data, found), *_loosened(data, found)]
     if found.wavefronts is not None:
         blocks += _predicted_wavefronts(found.wavefronts)
-    if not found.is_trustworthy:
-        blocks.append(
-            Warning("These tolerances are too large for predictions, which may be wrong by 5 % or more.")
-        )
+    if found.wavefronts is not None and not found.wavefronts.second_order_suffices:
+        error = percent_text(found.wavefronts.relative_error)
+        blocks.append(Warning(f"These tolerances are too large: predicted wavefronts differ by {error}."))
+    if not all(ray.first_order_suffices for ray in found.rays):
+        error = percent_text(max(ray.relative_error for ray in found.rays))
+        text = f"predicted rays differ from traced ones by {error} of their deviation."
+        blocks.append(Warning(f"These tolerances are too large: {text}"))
     return blocks
 
 
 def _predicted_yield(data: ReportData, found: StudyPrediction) -> list[Block]:
     """Compare the predicted joint yield, and the yield of each limit, with those of the trials."""
-    scores = dict(zip((m.label for m in data.study.merits), data.results.scores.T, strict=True))
-    passed_by_limit = [one.merit.passed(scores[one.merit.label]) for one in found.limits]
-
-    def fraction(passed: NDArray[np.bool_]) -> float | None:
-        return float(np.mean(passed)) if len(passed) else None
-
+    good = {row.merit.label: row.good for row in data.summary.merits}
+    predicted = {one.merit.label: percent_text(one.yield_fraction) for one in found.limits}
     rows = [
         [
-            one.merit.label,
-            one.merit.limit_text,
-            one.merit.location,
-            percent_text(one.yield_fraction),
-            percent_text(fraction(own)),
+            merit.label,
+            merit.limit_text,
+            merit.location,
+            predicted.get(merit.label, "not predicted"),
+            _trials_text(good[merit.label]),
         ]
-        for one, own in zip(found.limits, passed_by_limit, strict=True)
+        for merit in data.study.merits
     ]
-    together = fraction(np.all(passed_by_limit, axis=0))
-    rows.append(
-        ["all of these", "", "", percent_text(found.yield_fraction), percent_text(together)],
-    )
-    text = (
-        f"Predicted from the rays of the nominal lens, without trials: {percent_text(found.yield_fraction)} "
-        "of lenses keep all limits of the table at once."
-    )
-    if found.not_predicted:
-        text += f" Limits that only trials can score are not included: {', '.join(found.not_predicted)}."
+    joint = found.joint
+    together = "not predicted" if joint is None else _interval_text(joint)
+    rows.append(["all limits", "", "", together, _trials_text(data.summary.good)])
+    if joint is None:
+        text = f"The yield is not predicted without trials: {found.reason}."
+    else:
+        text = (
+            f"Predicted from the rays of the nominal lens, without trials: {percent_text(joint.fraction)} of "
+            f"lenses keep all limits at once ({joint.draws:,} drawn lenses)."
+        )
     headings = ["<Merit", "<Limit", "<Field points", "Predicted", "Trials"]
-    return [Paragraph(text), table(headings, rows, "Yield of each limit, and of all limits at once.")]
+    caption = "Yield of each limit, and of all limits at once, with 95 % intervals."
+    return [Paragraph(text), table(headings, rows, caption)]
+
+
+def _interval_text(found: Yield | PredictedYield) -> str:
+    """Return a yield with its interval."""
+    low, high = f"{100.0 * found.low:.1f}", percent_text(found.high)
+    return f"{percent_text(found.fraction)} ({low} to {high})"
+
+
+def _trials_text(found: Yield | None) -> str:
+    return "–" if found is None else _interval_text(found)
 
 
 def _loosened(data: ReportData, found: StudyPrediction) -> list[Block]:
-    """Return the yield with each tolerance halved and doubled, the most effective first."""
+    """Return the yield with each tolerance halved and doubled, the most effective first.
+
+    The first-order model of the table knows limits on wavefronts and rays only.
+    """
     from tolerancing.budgets.loosening import loosen_each
 
+    if found.joint is None or not all(is_predicted(merit) for merit in data.study.merits):
+        return []
     loosened = sorted(loosen_each(data.lens, data.study), key=lambda one: one.doubled - one.halved)
     rows = [[one.perturbation, percent_text(one.halved), percent_text(one.doubled)] for one in loosened]
     caption = (
-        f"The predicted yield of {percent_text(found.yield_fraction)} with each tolerance halved or doubled, "
+        f"The predicted yield of {percent_text(found.joint.fraction)} with each tolerance halved or doubled, "
         "all others unchanged. A tolerance may be loosened if the yield changes little when it is doubled."
     )
     return [table(["<Perturbation", "Yield, if halved", "Yield, if doubled"], rows, caption)]

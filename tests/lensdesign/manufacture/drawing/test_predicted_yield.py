@@ -70,6 +70,23 @@ def test_the_sheet_marks_its_values_and_states_its_yield(folder: Path) -> None:
     assert predict_study(loaded.lens, loaded.study).yield_fraction == found["as_drawn_yield"]
 
 
+def test_a_sheet_states_no_yield_that_leaves_a_limit_out(folder: Path) -> None:
+    study = folder / "with_throughput.toml"
+    text = (folder / "study_best.toml").read_text(encoding="utf-8")
+    study.write_text(text + '\n[[merit]]\nkind = "throughput"\nat_least = 0.99\n', encoding="utf-8")
+    out = folder / "partly.svg"
+    words = ["drawing", folder / "best.toml", "--tolerances", study, "-o", out, "--json"]
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["study_yield"] is None
+    assert found["as_drawn_yield"] is None
+    sheet = out.read_text(encoding="utf-8")
+    assert "throughput has no prediction" in sheet
+    assert not re.search(r"yield[^<]*\d %", sheet)
+    assert any("tolerancing run" in note for note in found["notes"])
+
+
 def test_a_sheet_that_loses_yield_is_refused_and_nothing_is_written(folder: Path) -> None:
     sheet, out, lens = folder / "sheet.toml", folder / "loose.svg", folder / "loose.toml"
     sheet.write_text(LOOSE)
@@ -79,7 +96,7 @@ def test_a_sheet_that_loses_yield_is_refused_and_nothing_is_written(folder: Path
     assert isinstance(done.exception, InputError)
     message = str(done.exception)
     assert re.match(
-        r"the sheet allows more than study_best\.toml: predicted yield as drawn [\d.]+ %", message
+        r"the sheet allows more than study_best\.toml: it loses [\d.]+ percentage points", message
     )
     assert "centring of surface 1 (±20′): " in message
     assert "--accept-yield-loss" in message
