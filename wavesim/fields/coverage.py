@@ -142,7 +142,8 @@ def validate_sampling(grid: Grid, width_um: float, what: str) -> None:
     if width_um < SAMPLES_PER_FEATURE * pitch_um * ROUNDING:
         raise SamplingError(
             f"{what} of {width_um:.4g} µm: narrower than {SAMPLES_PER_FEATURE:g} samples of the grid's pitch "
-            f"of {pitch_um:.4g} µm; give a pitch of {width_um / SAMPLES_PER_FEATURE:.4g} µm or less"
+            f"of {pitch_um:.4g} µm; give a pitch (object_pitch_um) of "
+            f"{width_um / SAMPLES_PER_FEATURE:.4g} µm or less"
         )
 
 

@@ -110,15 +110,21 @@ class FreeSpacePropagator:
         if isinstance(method, RotatedSpectrum):
             check_tilted_propagation(method, values, coarse_output)
             return
-        distance_mm = abs(self.target.z_mm - self.source.z_mm)
-        check_sample_count(
-            method.counts,
-            f"propagation from {centres_mm(self.source)} to {centres_mm(self.target)} mm over "
-            f"{distance_mm:.4g} mm at a pitch of {1e3 * self.source.pitch_mm:.4g} µm",
-        )
+        self.check_samples()
         field = Field(self.source, values, self.wavelength_um, self.index)
         check_propagation(
             field, self.target, pad=self.pad, band_limit=self.band_limit, coarse_output=coarse_output
+        )
+
+    def check_samples(self) -> None:
+        """Raise SamplingError if the spectrum needs too many samples, for any field on the source."""
+        if isinstance(self._method, RotatedSpectrum):
+            return
+        distance_mm = abs(self.target.z_mm - self.source.z_mm)
+        check_sample_count(
+            self._method.counts,
+            f"propagation from {centres_mm(self.source)} to {centres_mm(self.target)} mm over "
+            f"{distance_mm:.4g} mm at a pitch of {1e3 * self.source.pitch_mm:.4g} µm",
         )
 
     @property

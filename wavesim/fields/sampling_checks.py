@@ -336,7 +336,8 @@ def check_sample_count(counts: Sequence[int], what: str) -> None:
     if math.prod(counts) > MOST_SAMPLES:
         raise SamplingError(
             f"{what} needs {_sides(tuple(counts))} samples of the spectrum (allowed: {MOST_SAMPLES:.3g}): "
-            "use smaller windows or a coarser pitch"
+            "use smaller windows, as for a smaller patch (patch_mm) or nearer planes (plane_distance_mm), or "
+            "a coarser pitch"
         )
 
 

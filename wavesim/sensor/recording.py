@@ -23,7 +23,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from wavesim.engines.eikonal.tile_store import TileStore
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.propagator import propagate
+from wavesim.fields.propagator import FreeSpacePropagator, propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 from wavesim.runtime.checkpoint import digest_of, key_of
 from wavesim.runtime.memory import MemoryNeed, in_memory, movable
@@ -402,9 +402,13 @@ def fields_on_sensor(
     InputError, SamplingError
         If the sampling is too coarse for the propagation.
     """
+    grids = [_plane_grid(engine.scene.lens, window, index, recording) for index, window in enumerate(windows)]
+    exit_grid = engine.scene.exit_grid
+    for grid in grids:
+        if grid != exit_grid:  # before the engine's work
+            FreeSpacePropagator(exit_grid, grid, behind_object.wavelength_um).check_samples()
     first = engine.forward(behind_object)
-    for index, window in enumerate(windows):
-        grid = _plane_grid(engine.scene.lens, window, index, recording)
+    for grid in grids:
         tilt_deg = recording.state.sensor_tilt_deg
         yield on_sensor(first if grid == first.grid else propagate(first, grid), tilt_deg)
 

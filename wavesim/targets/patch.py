@@ -325,8 +325,18 @@ def _wider_about_stop(patch: Patch) -> tuple[Patch, tuple[slice, slice]]:
 
 def _star(patch: Patch, polarity: Polarity, _aperture: float, _seed: int) -> Any:
     # The inner ends of the spokes are as narrow as the samples can resolve.
-    inner_mm = 1.05 * patch.grid.pitch_mm / math.sin(0.5 * math.pi / SPOKES)
-    return siemens_star(patch.grid, SPOKES, STAR_RADIUS * patch.field_stop_mm, inner_mm, polarity)
+    per_pitch = 1.05 / math.sin(0.5 * math.pi / SPOKES)
+    inner_mm, radius_mm = per_pitch * patch.grid.pitch_mm, STAR_RADIUS * patch.field_stop_mm
+    if inner_mm >= radius_mm:
+        width_um = 2e3 * radius_mm * math.sin(0.5 * math.pi / SPOKES)
+        raise SettingError(
+            f"object star: samples of {1e3 * patch.grid.pitch_mm:.3g} µm cannot represent its {SPOKES} "
+            f"spokes, which are {width_um:.3g} µm wide at the rim (without {{object_pitch_um}}, samples "
+            f"follow the lens's numerical aperture): give {{object_pitch_um}} below "
+            f"{1e3 * radius_mm / per_pitch:.3g}, a patch ({{patch_mm}}) above "
+            f"{inner_mm / STAR_RADIUS:.3g} mm, or another object"
+        )
+    return siemens_star(patch.grid, SPOKES, radius_mm, inner_mm, polarity)
 
 
 def _phase(patch: Patch, _polarity: Polarity, _aperture: float, _seed: int) -> Any:

@@ -260,8 +260,8 @@ def _resolved_by_grid(elements: Sequence[UsafElement], grid: Grid, condition: st
     if not shown:
         raise SamplingError(
             f"the grid's pitch of {1e3 * grid.pitch_mm:.4g} µm: too coarse for lines of "
-            f"{elements[0].line_width_um:.4g} µm, the widest that {condition}; give a pitch of "
-            f"{elements[0].line_width_um / SAMPLES_PER_FEATURE:.4g} µm or less"
+            f"{elements[0].line_width_um:.4g} µm, the widest that {condition}; give a pitch "
+            f"(object_pitch_um) of {elements[0].line_width_um / SAMPLES_PER_FEATURE:.4g} µm or less"
         )
     return shown
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from programs import Command
 
 from lensdesign import load_design, save_design, scaled
 from wavesim import write_state
+from wavesim.engines.eikonal.engine import FlatTiles
+from wavesim.fields import sampling_checks
 from wavesim.scene.state_files import state_from_table
 from wavesim.sensor.frames import read_frame
 from wavesim.sensor.merged_exposures import estimate_intensity
@@ -24,6 +27,32 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 QUICK = ("--patch-mm", 0.05, "--engine", "eikonal", "--error", 0.3)
+
+
+@pytest.mark.parametrize("object_", ["star", "phase", "usaf", "tissue"])
+def test_an_object_that_is_too_fine_has_a_message_with_options(
+    wavesim: Command, twin: Path, tmp_path: Path, object_: str
+) -> None:
+    options = ("--object", object_, "--object-pitch-um", 5, "-o", tmp_path / "out")
+    code, _, err = wavesim("image", twin, *QUICK, *options)
+    assert code == 2
+    said = " ".join(err.split())
+    assert re.search("object.pitch.um", said)
+    assert "inner_radius_mm" not in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_planes_that_need_too_many_samples_are_refused_before_the_engine_works(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, twin: Path, tmp_path: Path
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        raise AssertionError("the engine works")
+
+    monkeypatch.setattr(sampling_checks, "MOST_SAMPLES", 1000)
+    monkeypatch.setattr(FlatTiles, "forward", work)
+    code, _, err = wavesim("image", twin, *QUICK, "-o", tmp_path / "out")
+    assert code == 2
+    assert "--patch-mm" in err or "patch_mm" in err
 
 
 def test_frames_truth_and_record(wavesim: Command, twin: Path, tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
-from wavesim.runtime.fourier.nonuniform import Precision
+from wavesim.runtime.fourier.nonuniform import Precision, rounding_error
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import THREADS, at_once, one_blas_thread
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Tiled
@@ -432,6 +432,7 @@ class FlatTiles(EikonalEngine):
             self.probe.error(self._quadratic, self._allowed),
         )
         middle = self.tiles[len(self.tiles) // 2]
+        yield _rounding_term(self.tiles)
         yield from edge_terms(self.scene, middle, self._map(middle.centre_mm))
 
     def cost(self) -> Cost:
@@ -704,6 +705,7 @@ class HierarchicalTiles(EikonalEngine, Tiled):
         yield ErrorTerm("interpolation between traced rays", maps)
         levels = math.sqrt(2.0) * self._interpolation_fraction * self._error
         yield ErrorTerm("interpolation in two levels", levels)
+        yield _rounding_term(self.tiles)
         carrier, distance_mm = self._middle, shared.maps.edge_error_mm
         widest = np.max([group.steps_mm for group in self.groups], axis=0)
         if carrier.edge is not None:
@@ -716,6 +718,15 @@ class HierarchicalTiles(EikonalEngine, Tiled):
 
     def cost(self) -> Cost:
         return hierarchical_cost(self._prepared.shared, self.groups)
+
+
+def _rounding_term(tiles: Sequence[Tile]) -> ErrorTerm:
+    """Return the error of the nonuniform transforms of tiles that is due to single precision."""
+    modes = max(part.stop - part.start for tile in tiles for part in tile.part)
+    return ErrorTerm(
+        f"rounding in single precision, of transforms of up to {modes} samples along an axis",
+        rounding_error(modes),
+    )
 
 
 def _common_spans_mm(cut: Cut) -> Array:
