@@ -152,3 +152,16 @@ def test_arguments_out_of_range_are_refused(more, named):
     arguments = {"required": 0.5, **wide(2)} | more
     with pytest.raises(InputError, match=named):
         allocate_tolerances(linear(np.ones(2), normal_draws(2, 6)), [LIMIT], **arguments)
+
+
+def test_what_has_no_effect_is_loosened_to_its_limit():
+    """The optimum within ranges is min(high, factor / slope^(2/3)), with the factor that gives the yield."""
+    slopes = np.array([1.0] * 4 + [0.3] * 4 + [0.02] * 4 + [0.0] * 10)
+    found = allocate_tolerances(
+        linear(slopes, normal_draws(22)), [LIMIT], 0.9, low=np.full(22, 0.1), high=np.full(22, 4.0)
+    )
+    factors = np.linspace(0.1, 1.0, 2000)
+    best = np.minimum(4.0, factors[:, None] / np.maximum(slopes, 1e-9) ** (2.0 / 3.0))
+    best = best[np.argmin(np.abs(np.linalg.norm(slopes * best, axis=1) - 1.0 / ndtri(0.9)))]
+    assert found.cost == pytest.approx(np.sum(1.0 / best), rel=0.02)
+    assert np.min(found.scales[12:]) > 3.9
