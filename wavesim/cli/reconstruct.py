@@ -425,18 +425,14 @@ def _summary_lines(summary: dict[str, Any]) -> list[str]:
             f"each unknown of the {summary['kind']} object"
         )
     if not summary["scale_is_determined"]:
+        known = "give --scale, the recorded amplitude where it is 1"
+        if summary["kind"] == "amplitude":
+            known = f"its brightest parts count as 1 at the scale {summary.get('scale', 1.0):.4g}; {known}"
         lines.append(
-            "the frames do not determine the scale: the transmission is known up to a factor; give --scale, "
-            "the recorded amplitude where it is 1"
+            f"the frames do not determine the scale: the transmission is known up to a factor; {known}"
         )
     if "engine_replaced" in summary:
         lines.append(summary["engine_replaced"]["words"])
-    if not summary.get("scale_is_determined", True):
-        unit = "brightest parts count" if summary["kind"] == "amplitude" else "mean brightness counts"
-        lines.append(
-            f"scale {summary['scale']:.4g}: not determined by the frames; the object's {unit} as 1 "
-            "(state --scale if it is known)"
-        )
     source = Source(summary.get("source_deg", 0.0), summary.get("bandwidth_nm", 0.0))
     deviations = {"width_deg": "source_deg_deviation", "bandwidth_nm": "bandwidth_nm_deviation"}
     lines += source.lines({name: summary[key] for name, key in deviations.items() if key in summary})

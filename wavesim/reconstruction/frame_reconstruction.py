@@ -458,7 +458,6 @@ def _method_result(
     """Return the object of a search, or the field behind it that is to be refocused."""
     of_method: dict[str, Any] = {
         "scale": found.scale,
-        "scale_is_determined": settings.scale is not None or settings.kind == "phase",
         "misfit": found.misfit[-1],
         "stopped_because": found.stopped_because,
     }
