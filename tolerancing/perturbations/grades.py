@@ -424,6 +424,7 @@ def _merits(lens: Lens) -> str:
             "merit",
             ("name", f"fine_contrast_{location}", ""),
             ("kind", "line_pair_contrast", "of a field known behind the lens, refocused"),
+            ("level", "pupil", "from rays; wave is slower, auto compares both"),
             ("line_width_um", width, "1.5 x wavelength / (2 NA)"),
             ("field_mm", field, "the axis" if location == "axis" else "0.7 of the half field"),
             ("at_least", 0.5, ""),
