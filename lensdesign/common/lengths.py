@@ -67,9 +67,8 @@ class PlausibleLength:
         # Ratios of units that are confused. The first two, of millimetres and micrometres, are the only ones
         # tried for lengths with a relative range; the last one is that of angstroms.
         unit_steps = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
-        steps = unit_steps if self.always else unit_steps[:2]
-        if self.ratios is not None:
-            steps = self.ratios
+        of_units: tuple[float, ...] = unit_steps if self.always else unit_steps[:2]
+        steps = of_units if self.ratios is None else self.ratios
         candidates = [step for step in steps if (step < 1.0) == (size > self.highest)]
         meant = next((step * value for step in candidates if low <= step * size <= high), None)
         return "" if meant is None else f"; {number_with_unit(f'{meant:.6g}', unit)} may be meant"

@@ -89,9 +89,9 @@ def hidden_rays(problem: DesignProblem, point: Array, rays: Rays) -> Rays | None
         lens = finished_lens(problem, point, rays)
         for wavelength_um in lens.wavelengths_um:
             spread, footprints, _ = spread_angle_and_footprints(lens, wavelength_um, planes_mm)
-            for one in (spread, *footprints):
-                fields.append(one.field_mm)
-                pupil.append(one.pupil)
+            rays_of = [(spread.field_mm, spread.pupil), *((one.field_mm, one.pupil) for one in footprints)]
+            fields += [field for field, _ in rays_of]
+            pupil += [place for _, place in rays_of]
     except DesignError:
         return None
     factor = problem.base.object.field_diameter_mm / lens.object.field_diameter_mm
