@@ -27,6 +27,11 @@ from wavesim.reconstruction.total_variation import Values, prox_tv
 TEST_ITERATIONS = 3
 """Iterations without a limit that show where samples at the limit tend to."""
 
+LEAST_LOWERED = 0.9
+"""Smallest factor by which a limit is lowered. The brightest fifth of an object on a dark ground is darker
+than its bright parts.
+"""
+
 LARGEST_RISE = 0.01
 """Mean rise of the samples at the limit up to which the limit is right. Charts on a clear ground reach 0.007,
 photographs whose limit is 5 % too low 0.02.
@@ -94,7 +99,7 @@ def with_own_limit(
         fraction = float(at_limit.sum() / power.sum())
         lifted_values = _real(lifted)
         lower = max(_brightest(lifted_values, power, LEAST_AT_LIMIT), _root_mean_square(lifted_values, power))
-        if may_be_lowered and fraction < LEAST_AT_LIMIT and lower < 1.0:
+        if may_be_lowered and fraction < LEAST_AT_LIMIT and LEAST_LOWERED < lower < 1.0:
             found = _after(found, lifted, solve(_over(lifted, lower), lower * found.scale, bounded=True))
             may_be_lowered = False
             continue
