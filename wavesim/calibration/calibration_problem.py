@@ -246,6 +246,8 @@ def search_bench(
         If the search continues from a checkpoint.
     """
     settings, light = problem.settings, problem.framed.light
+    if absorbed is None:
+        absorbed = problem.absorbed if known is None else ()
     _check_memory(len(parameters), len(modes_on(light, start.fixed.source)), problem)
     settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
     search_text = f"({dict(start.values)!r}, {_key_text(parameters)})"
@@ -276,7 +278,7 @@ def search_bench(
         on_bench,
         run.save,
         lambda stage, completed, total: progress(f"{what}: {stage}", completed, total),
-        problem.absorbed if absorbed is None else absorbed,
+        absorbed,
     )
     try:
         with one_blas_thread():

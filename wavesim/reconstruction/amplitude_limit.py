@@ -28,9 +28,7 @@ TEST_ITERATIONS = 3
 """Iterations without a limit that show where samples at the limit tend to."""
 
 LEAST_LOWERED = 0.9
-"""Smallest factor by which a limit is lowered. The brightest fifth of an object on a dark ground is darker
-than its bright parts.
-"""
+"""Smallest factor by which a limit is lowered. A lower one would be that of a search that has failed."""
 
 LARGEST_RISE = 0.01
 """Mean rise of the samples at the limit up to which the limit is right. Charts on a clear ground reach 0.007,
@@ -44,7 +42,7 @@ high.
 """
 
 LEAST_AT_LIMIT = 0.2
-"""Smallest fraction of the light that passes samples at a limit that is not too high."""
+"""Smallest fraction of the light behind the object that passed samples at a limit that is not too high."""
 
 BRIGHTEST = 0.01
 """Fraction of the light that passes the brightest parts, after a search without a limit."""
@@ -96,9 +94,9 @@ def with_own_limit(
     while _real(found).max() <= 1.0:
         lifted = solve(found.transmission, found.scale, bounded=False, iterations=TEST_ITERATIONS)
         at_limit = power * (_real(found) >= 1.0 - 1e-6)
-        fraction = float(at_limit.sum() / power.sum())
-        lifted_values = _real(lifted)
-        lower = max(_brightest(lifted_values, power, LEAST_AT_LIMIT), _root_mean_square(lifted_values, power))
+        passed = power * _real(lifted) ** 2
+        fraction = float((passed * (at_limit > 0.0)).sum() / passed.sum())
+        lower = _brightest(_real(lifted), passed, LEAST_AT_LIMIT)
         if may_be_lowered and fraction < LEAST_AT_LIMIT and LEAST_LOWERED < lower < 1.0:
             found = _after(found, lifted, solve(_over(lifted, lower), lower * found.scale, bounded=True))
             may_be_lowered = False

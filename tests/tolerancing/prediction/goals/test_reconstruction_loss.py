@@ -122,5 +122,5 @@ def test_a_study_whose_lens_cannot_stand_for_the_search_is_refused(tmp_path: Pat
 
 
 def test_a_yield_needs_a_limit_that_can_be_predicted(tmp_path: Path) -> None:
-    with pytest.raises(DesignError, match="without trials"):
+    with pytest.raises(DesignError, match="a search knows none of the merits"):
         load_specification(specified(tmp_path, goal="yield"))
