@@ -61,7 +61,15 @@ def _in_threads(work: Callable[[], None], threads: int) -> None:
     if threading.current_thread().name.startswith(_KEPT):  # a thread must not wait for others of its own pool
         work()
         return
-    running = [_pool(threads - 1).submit(work) for _ in range(threads - 1)]
+    # Busy threads are late to take cancelled tasks from their queue, and to let go of ended ones. Tasks share
+    # a list that gives up the work, and with it the arrays on which it works.
+    given = [work]
+
+    def work_if_given() -> None:
+        for one in given:
+            one()
+
+    running = [_pool(threads - 1).submit(work_if_given) for _ in range(threads - 1)]
     try:
         work()
     finally:
@@ -69,6 +77,7 @@ def _in_threads(work: Callable[[], None], threads: int) -> None:
         # before an exception reaches the caller, because they still write.
         started = [one for one in running if not one.cancel()]
         wait(started)
+        given.clear()
     for one in started:
         one.result()
 

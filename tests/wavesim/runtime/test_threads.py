@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import threading
 import time
+import weakref
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -103,3 +105,27 @@ def test_work_of_the_calling_thread_does_not_wait_for_other_threads(monkeypatch:
             assert done.wait(10.0)
 
     for_blocks(work, 2, 1, 2)
+
+
+def test_arrays_of_ended_work_are_released_while_other_threads_are_busy() -> None:
+    started, may_end = threading.Semaphore(0), threading.Event()
+
+    def occupy(_: int, __: int) -> None:
+        started.release()
+        assert may_end.wait(10.0)
+
+    other = threading.Thread(target=lambda: for_blocks(occupy, 2, 1, 2))  # itself, and the thread of the pool
+    other.start()
+    assert all(started.acquire(timeout=10.0) for _ in range(2))
+    array = np.zeros(8)
+    released = weakref.ref(array)
+
+    def fill(start: int, stop: int, array: np.ndarray = array) -> None:
+        array[start:stop] = 1.0
+
+    for_blocks(fill, 8, 1, 2)
+    del array, fill
+    is_released = released() is None
+    may_end.set()
+    other.join()
+    assert is_released
