@@ -102,7 +102,10 @@ def study_progress(folder: Path) -> StudyProgress | None:
 
 
 def trial_what_if(folder: Path, number: int) -> WhatIf:
-    """Return the deviations of one trial's lens. Irregularities have no slider, but act as well."""
+    """Return the deviations of one trial's lens, as mounted: values of compensators do not move it.
+
+    Irregularities have no slider, but act as well.
+    """
     from tolerancing.study.evaluate import sample_perturbations
 
     loaded = load_study(folder / "study.toml")
@@ -118,4 +121,6 @@ def trial_what_if(folder: Path, number: int) -> WhatIf:
         for index, own in state.surface_perturbations.items()
         if own.figure is not None
     }
-    return WhatIf(values, SystemState(surface_perturbations=figures), f"irregularities of trial {number}")
+    without = ", without compensators" if loaded.study.compensators else ""
+    words = f"irregularities of trial {number}{without}"
+    return WhatIf(values, SystemState(surface_perturbations=figures), words)

@@ -42,6 +42,10 @@ Place = tuple[tuple[float, float], float | None]
 _At = tuple[Changes, tuple[FieldDifferentials, ...]]
 
 
+RESOLVED_RMS_WAVES = 1e-6
+"""Root mean square below which traced pupils do not resolve the effect of a tolerance."""
+
+
 @dataclass(frozen=True)
 class WavefrontLimit:
     """An object point and the limit of the root mean square wavefront error there.
@@ -129,7 +133,8 @@ class WavefrontPrediction:
             if not np.any(known):
                 return math.inf
             difference = np.linalg.norm(point.rms_of_draws[:count][known] - true[known])
-            errors.append(difference / max(np.linalg.norm(true[known]), np.finfo(float).tiny))
+            smallest = RESOLVED_RMS_WAVES * math.sqrt(np.count_nonzero(known))
+            errors.append(difference / max(np.linalg.norm(true[known]), smallest))
         return float(max(errors))
 
     @property

@@ -17,7 +17,8 @@ from wavesim import PupilSampler, refocus, rms_waves
 def test_a_trial_is_seen_as_it_was_scored(paper_lens: Lens, tmp_path: Path) -> None:
     made = manufacturing_quality("high_precision", paper_lens)
     coarse = made.study.sampling.model_copy(update={"pupil_samples": 48})
-    made = replace(made, study=made.study.model_copy(update={"sampling": coarse, "sensitivity": False}))
+    plain = {"sampling": coarse, "sensitivity": False, "compensators": ()}
+    made = replace(made, study=made.study.model_copy(update=plain))
     assert study_progress(tmp_path) is None
     assert run_trials(paper_lens, made, 4, tmp_path, lambda _: None) == 4
     found = study_progress(tmp_path)
