@@ -227,7 +227,7 @@ def test_a_field_states_its_group_or_has_that_of_the_first_class_that_defines_it
     assert groups["illumination"] == OptionGroup.ILLUMINATION
     assert groups["iterations"] == OptionGroup.SOLVER
     assert groups["engine"] == OptionGroup.ENGINE
-    assert CalibrationSettings.model_fields["engine"].json_schema_extra is None
+    assert CalibrationSettings.model_fields["patch_mm"].json_schema_extra is None
     assert ReconstructionSettings.option_group == OptionGroup.SOLVER
 
 

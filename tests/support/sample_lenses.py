@@ -200,7 +200,7 @@ SAMPLES = {
         (28.077783387, 0.02),
         ("S-LAL8", "S-TIH53", 1.517, None),
         0,
-        dropped=("surface 3: dispersion of the fictitious glass 517000.520000",),
+        dropped=("surface 3: dispersion of the model glass 517000.520000",),
     ),
     # F/2 of an entrance pupil of 50 mm.
     "double Gauss": Sample(

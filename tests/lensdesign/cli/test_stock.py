@@ -50,9 +50,9 @@ def test_the_yield_of_a_stock_lens_is_that_of_a_study_of_its_design(
         assert ended.returncode == 0, ended.stderr
         return ended.stdout
 
-    options = ("--keep", 1, "--workers", 1, "--tolerances", "precision", "--json")
+    options = ("--keep", 1, "--workers", 1, "--tolerances", "commercial", "--json")
     (match,) = json.loads(run("lensdesign", "stock", vendors, "--spec", SPEC, "-o", out, *options))["matches"]
-    run("tolerancing", "start", match["design"], "--grade", "precision", "-o", study)
+    run("tolerancing", "start", match["design"], "--grade", "commercial", "-o", study)
     predicted = json.loads(run("tolerancing", "predict", study, "--json"))["yield"]
     assert 0.05 < predicted < 0.95
     assert match["predicted_yield"] == pytest.approx(predicted, abs=1e-3)
