@@ -208,7 +208,7 @@ def test_what_a_lab_s_frames_do_not_say_is_taken_of_the_design_and_told(
     paths = [tmp_path / "near.tif", tmp_path / "far.tif"]
     for path in paths:
         Image.fromarray(frame_of(LIGHT, 1.0, 0).counts).save(path)
-    asked = {"bits": 16, "offset_counts": 100.0, "gain_electrons_per_count": 1.0, "exposure": (1.0, 1.0)}
+    asked = {"bits": 16, "offset_counts": 64.0, "gain_electrons_per_count": 1.0, "exposure": (1.0, 1.0)}
     with pytest.raises(InputError, match=r"near\.tif: .*give exposure, bits,"):
         read_frames(paths, lens=paper_lens)
     with pytest.warns(AssumedWarning) as caught:
