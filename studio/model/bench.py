@@ -72,6 +72,7 @@ class Workbench:
         self.opened: Tables = self.editing.now.tables
         self.saved: Tables = self.opened
         self.autosave = autosave
+        self._kept: tuple[Document, Tables | None] | None = None
         if autosave is not None:
             self.editing = autosave.restored(self.document, self.editing)
         self.what_if = WhatIf()
@@ -208,7 +209,8 @@ class Workbench:
             listener()
 
     def request_update(self) -> None:
-        """Request an analysis of the present state."""
+        """Store unsaved edits, and request an analysis of the present state."""
+        self._keep()
         with self._condition:
             self._requested += 1
             if self._thread is None or not self._thread.is_alive():
@@ -247,7 +249,6 @@ class Workbench:
                     continue
                 done = self._requested
             try:
-                self._keep()
                 self._analyse(done)
             except _Superseded:
                 continue
@@ -307,9 +308,14 @@ class Workbench:
         self.notify()
 
     def _keep(self) -> None:
-        if self.autosave is not None:
-            text = None if self.is_saved else tables_text(self.editing.now.tables)
-            self.autosave.keep(tables=text, digest=self.document.digest)
+        """Store the edits, or that there are none, if this is not what was stored last."""
+        tables = None if self.is_saved else self.editing.now.tables
+        content = self.document, tables
+        if self.autosave is None or self._kept == content:
+            return
+        self._kept = content
+        text = None if tables is None else tables_text(tables)
+        self.autosave.keep(tables=text, digest=self.document.digest)
 
 
 def _tables_of(lens: Lens) -> Tables:
