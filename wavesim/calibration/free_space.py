@@ -19,11 +19,13 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_picture, html_table
+from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from wavesim.engines.no_lens import FreeSpace
 from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
+from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
 from wavesim.sensor.frames import Frame
@@ -62,11 +64,25 @@ SOON, OFTEN, SELDOM = 40, 5, 20
 SCALES = (0.8, 1.25)
 """Range of the scale of distances."""
 
+DETERMINATION_ITERATIONS = 60
+"""Iterations of the least-squares problem that shows which part of the scale the frames determine."""
+
 SCALE_ITERATIONS, SCALE_TOLERANCE = 60, 0.02
 """Iterations for each scale, and tolerance of the logarithm of the scale before a parabola refines it.
 
 With half as many iterations the scale of a real series is wrong by 5 %.
 """
+
+
+LARGEST_DEVIATION, FEWEST_PLANES = 0.005, 3
+"""Largest standard deviation of the scale of distances with which it is searched, and fewest planes.
+
+Stages state distances with about this error. Two planes measure as many numbers as the field has.
+"""
+
+
+class HeldDistancesWarning(UserWarning):
+    """Frames do not determine the distances of their planes, which stay as stated."""
 
 
 class NotExplainedWarning(UserWarning):
@@ -182,14 +198,19 @@ class FreeSpaceField:
         Factors that bring the planes' amplitudes to the same light.
     planes : tuple of PlaneFrames
         Distance, exposures and saturation of each plane.
-    correlations : tuple of float
-        Correlation of modelled and measured amplitudes on each plane, without their means.
+    correlations : tuple of float or None
+        Correlation of modelled and measured amplitudes on each plane, without their means; None on a plane
+        that is even.
     misfit : tuple of float
         Relative misfit before every iteration.
     stack : Stack
         Measured planes on the samples of the search, at the estimated positions.
     samples : ndarray
         Field on these samples.
+    scale_deviation : float or None
+        Standard deviation of the scale of distances that the frames determine; None without a calibration.
+    seeks_distances : bool
+        Whether distances were calibrated, too. Otherwise they are the stated ones.
     """
 
     field: Field
@@ -198,10 +219,12 @@ class FreeSpaceField:
     drift: tuple[float, float]
     gains: tuple[float, ...]
     planes: tuple[PlaneFrames, ...]
-    correlations: tuple[float, ...]
+    correlations: tuple[float | None, ...]
     misfit: tuple[float, ...]
     stack: Stack
     samples: ComplexArray
+    scale_deviation: float | None = None
+    seeks_distances: bool = False
 
     def amplitude(self, distance_mm: float) -> Array:
         """Return the amplitude on a plane at a distance in mm as the stage would state it.
@@ -224,13 +247,15 @@ class FreeSpaceField:
         """Return plain values for JSON."""
         return {
             "distance_scale": self.distance_scale,
+            "distance_scale_deviation": finite_or_none(self.scale_deviation),
+            "distances_calibrated": self.seeks_distances,
             "drift": list(self.drift),
             "numerical_aperture": self.stack.aperture,
             "wavelength_um": self.stack.wavelength_um,
             "pixel_pitch_um": 1e3 * self.field.grid.pitch_mm,
             "iterations": len(self.misfit),
-            "misfit": self.misfit[-1],
-            "misfit_of_noise": self.stack.noise,
+            "misfit": finite_or_none(self.misfit[-1]),
+            "misfit_of_noise": finite_or_none(self.stack.noise),
             "planes": [
                 {
                     "plane_distance_mm": plane.distance_mm,
@@ -314,26 +339,62 @@ def reconstruct_free_space(
     ]
     pitch_mm = 1e-3 * frame_settings.pixel_pitch_um
     stack = stack_of(recorded, pitch_mm, frame_settings.wavelength_um, aperture)
+
+    def found(start: Stack, seeks_distances: bool) -> tuple[ComplexArray, Stack, list[float]]:
+        return descend(
+            start,
+            iterations,
+            calibrates=calibrates,
+            seeks_distances=seeks_distances,
+            progress=lambda index, misfit_now: progress(
+                f"free space: misfit {misfit_now:.5f}", index + 1, iterations
+            ),
+        )
+
+    deviation, seeks_distances, start = None, False, stack
     if calibrates:
         progress("scale of distances", 0, 0)
-        stack = stack.scaled(best_scale(stack))
-    samples, stack, misfit = descend(
-        stack,
-        iterations,
-        calibrates=calibrates,
-        progress=lambda index, misfit_now: progress(
-            f"free space: misfit {misfit_now:.5f}", index + 1, iterations
-        ),
-    )
-    if misfit[-1] > LARGEST_NOISE_RATIO * stack.noise:
+        first, placed, _ = descend(stack, SCALE_ITERATIONS, calibrates=True, seeks_distances=False)
+        deviation = scale_step(placed, first)[1]
+        seeks_distances = deviation <= LARGEST_DEVIATION and len(recorded) >= FEWEST_PLANES
+        if seeks_distances:
+            start = stack.scaled(best_scale(stack))
+    samples, end, misfit = found(start, seeks_distances)
+    if seeks_distances and not _is_within_range(stack, end):
+        seeks_distances = False
+        samples, end, misfit = found(stack, seeks_distances)
+    if calibrates and not seeks_distances:
+        assert deviation is not None
+        reason = f"their scale has a standard deviation of {100.0 * deviation:.2g} %"
+        if len(recorded) < FEWEST_PLANES:
+            reason = f"{len(recorded)} planes measure as many numbers as the field has"
+        warnings.warn(
+            f"the frames do not determine the distances of their planes ({reason}), as for weak phase "
+            "objects, whose phase and defocus have the same effect: the distances stay as stated, and only "
+            "positions across and exposures are calibrated; record more planes, farther from the object",
+            HeldDistancesWarning,
+            stacklevel=2,
+        )
+    stack = end
+    # Relative rounding of amplitudes in single precision, for frames without noise.
+    noise = max(stack.noise, 1e-4)
+    if misfit[-1] > LARGEST_NOISE_RATIO * noise:
         warnings.warn(
             f"the frames are not explained within their noise: the misfit is {misfit[-1]:.3g}, "
-            f"{misfit[-1] / stack.noise:.2g} times that of noise alone; to test the field, omit the frames "
+            f"{misfit[-1] / noise:.2g} times that of noise alone; to test the field, omit the frames "
             "of one plane and compare them with its prediction",
             NotExplainedWarning,
             stacklevel=2,
         )
-    return _result(stack, samples, plane_frames, misfit, Grid(frames[0].counts.shape, pitch_mm, 0.0))
+    pixels = Grid(frames[0].counts.shape, pitch_mm, 0.0)
+    result = _result(stack, samples, plane_frames, misfit, pixels)
+    return replace(result, scale_deviation=deviation, seeks_distances=seeks_distances)
+
+
+def _is_within_range(stated: Stack, found: Stack) -> bool:
+    """Return whether the found distances are those of a scale within the range of the search."""
+    scale = np.polyfit(stated.distances_mm, found.distances_mm, 1)[0]
+    return bool(SCALES[0] <= scale <= SCALES[1])
 
 
 def _result(
@@ -366,13 +427,26 @@ def _result(
         tuple(map(float, stack.gains)),
         plane_frames,
         tuple(
-            float(np.corrcoef(plane.amplitude[stack.window].flat, amplitude[stack.window].flat)[0, 1])
+            _correlation(plane.amplitude[stack.window], amplitude[stack.window])
             for plane, amplitude in zip(stack.recorded, amplitudes, strict=True)
         ),
         tuple(misfit),
         stack,
         samples,
     )
+
+
+def _correlation(one: Array, other: Array) -> float | None:
+    """Return the correlation of two amplitudes without their means; None if one of them is even."""
+    differences = [values.astype(float).ravel() - float(values.mean()) for values in (one, other)]
+    sizes = [float(np.linalg.norm(difference)) for difference in differences]
+    # Relative variation below which an amplitude in single precision is even.
+    even = 1e-6
+    if any(
+        size <= even * float(np.linalg.norm(values)) for size, values in zip(sizes, (one, other), strict=True)
+    ):
+        return None
+    return float(differences[0] @ differences[1]) / (sizes[0] * sizes[1])
 
 
 def stack_of(
@@ -492,6 +566,7 @@ def descend(
     iterations: int,
     *,
     calibrates: bool,
+    seeks_distances: bool = True,
     progress: Callable[[int, float], None] | None = None,
 ) -> tuple[ComplexArray, Stack, list[float]]:
     """Return the field on z = 0, the stack with its estimates, and the misfit before every iteration.
@@ -504,6 +579,8 @@ def descend(
         Number of iterations.
     calibrates
         Whether positions and gains of the planes are found; otherwise they stay fixed.
+    seeks_distances
+        Whether a calibration also finds the distances of the planes.
     progress
         Callback `progress(index, misfit)`, called after every iteration.
     """
@@ -518,7 +595,7 @@ def descend(
         now, momentum = updated, next_momentum
         misfits.append(misfit)
         if calibrates and iteration % (OFTEN if iteration <= SOON else SELDOM) == 0:
-            stack = _refine_planes(stack, now)
+            stack = _refine_planes(stack, now, seeks_distances)
             model = stack.forward_model()
         if progress is not None:
             progress(iteration - 1, misfit)
@@ -556,20 +633,40 @@ def best_scale(stack: Stack) -> float:
     return math.exp(float(np.clip(vertex, near[0], near[2])))
 
 
-def _refine_planes(stack: Stack, field: ComplexArray) -> Stack:
+def _refine_planes(stack: Stack, field: ComplexArray, seeks_distances: bool) -> Stack:
     """Do one Gauss-Newton step of each plane's position, distance and gain.
 
     A common shift of all positions or distances is equivalent to a shift of the object, and a common factor
     of all gains to one of its light. They stay fixed.
     """
-    steps = np.array([_step_of_plane(stack, field, index) for index in range(len(stack.recorded))])
+    steps = np.array(
+        [_step_of_plane(stack, field, index, seeks_distances) for index in range(len(stack.recorded))]
+    )
     steps[:, :3] -= steps[:, :3].mean(axis=0)
     gains = stack.gains + steps[:, 3]
     return stack.at(stack.distances_mm + steps[:, 2], stack.shifts_mm + steps[:, :2], gains / gains.mean())
 
 
-def _step_of_plane(stack: Stack, field: ComplexArray, index: int) -> NDArray[np.float64]:
+def _step_of_plane(
+    stack: Stack, field: ComplexArray, index: int, seeks_distances: bool
+) -> NDArray[np.float64]:
     """Return the step of x, y and distance in mm, and of the gain."""
+    _, columns, residual = _linearised(stack, field, index)
+    if not seeks_distances:
+        columns[2] = 0.0
+    norms = np.linalg.norm(columns, axis=1)
+    norms[norms == 0.0] = 1.0
+    columns /= norms[:, None]
+    return np.asarray(np.linalg.lstsq(columns @ columns.T, columns @ residual, rcond=1e-6)[0] / norms)
+
+
+def _linearised(
+    stack: Stack, field: ComplexArray, index: int
+) -> tuple[ComplexArray, NDArray[np.float64], NDArray[np.float64]]:
+    """Return the conjugate phases of a plane's field, the derivatives of its amplitude, and the residual.
+
+    The derivatives are those with respect to x, y and distance in mm, and to the gain.
+    """
     grid, rows, plane = stack.grid, stack.window, stack.recorded[index]
     propagator = stack.propagator_to(plane.distance_mm, plane.shift_mm)
     spectrum = propagator.times(scipy.fft.fft2(field, workers=-1))
@@ -587,9 +684,79 @@ def _step_of_plane(stack: Stack, field: ComplexArray, index: int) -> NDArray[np.
         ).real
         for slope in (across[None, :], down[:, None], axial)
     ]
-    jacobian = np.array([derivative.ravel() for derivative in (*derivatives, -measured)], float)
+    columns = np.array([derivative.ravel() for derivative in (*derivatives, -measured)], float)
     residual = (np.float32(stack.gains[index]) * measured - amplitude).ravel().astype(float)
-    norms = np.linalg.norm(jacobian, axis=1)
-    norms[norms == 0.0] = 1.0
-    jacobian /= norms[:, None]
-    return np.asarray(np.linalg.lstsq(jacobian @ jacobian.T, jacobian @ residual, rcond=1e-6)[0] / norms)
+    return conjugate_phase, columns, residual
+
+
+def scale_step(stack: Stack, field: ComplexArray) -> tuple[float, float]:
+    """Return the relative step of the scale of distances, and the standard deviation of the scale.
+
+    The field, the positions of the planes across z and their gains are determined by the same frames: the
+    part of the scale's derivative that they can take up carries no information. For a weak phase object, this
+    is nearly all, since phase and defocus have the same effect.
+
+    Parameters
+    ----------
+    stack
+        The planes at their present positions.
+    field
+        Field on z = 0 that the planes have given.
+    """
+    planes, residuals = [], []
+    for index in range(len(stack.recorded)):
+        phases, columns, residual = _linearised(stack, field, index)
+        planes.append((phases, columns))
+        residuals.append(residual)
+    propagators = [stack.propagator_to(plane.distance_mm, plane.shift_mm) for plane in stack.recorded]
+    shape = planes[0][0].shape
+    # x, y and gain of each plane, each column of length 1 on its plane.
+    others = [columns[[0, 1, 3]] for _, columns in planes]
+    others = [columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-30)[:, None] for columns in others]
+
+    def forward(change: ComplexArray, numbers: Array) -> Array:
+        spectrum = scipy.fft.fft2(change, workers=-1)
+        return np.array(
+            [
+                (phases * propagator.forward(spectrum)[stack.window]).real.ravel() + own @ columns
+                for (phases, _), propagator, columns, own in zip(
+                    planes, propagators, others, numbers, strict=True
+                )
+            ]
+        )
+
+    def adjoint(amplitudes: Array) -> tuple[ComplexArray, Array]:
+        total = np.zeros(stack.grid.shape, np.complex128)
+        for (phases, _), propagator, own in zip(planes, propagators, amplitudes, strict=True):
+            on_plane = np.zeros(stack.grid.shape, np.complex64)
+            on_plane[stack.window] = phases.conj() * own.reshape(shape)
+            total += propagator.adjoint(on_plane)
+        total *= stack.band
+        change = scipy.fft.ifft2(total, workers=-1)
+        return change, np.array([columns @ own for columns, own in zip(others, amplitudes, strict=True)])
+
+    # Conjugate gradients for the least-squares problem, whose residual is what nothing else can take up.
+    remaining = np.array(
+        [distance * columns[2] for distance, (_, columns) in zip(stack.distances_mm, planes, strict=True)]
+    )
+    gradient = adjoint(remaining)
+    direction, power = gradient, _power(gradient)
+    for _ in range(DETERMINATION_ITERATIONS):
+        if power == 0.0:
+            break
+        image = forward(*direction)
+        length = power / float(np.vdot(image, image))
+        remaining = remaining - length * image
+        gradient = adjoint(remaining)
+        previous, power = power, _power(gradient)
+        ratio = power / previous
+        direction = gradient[0] + ratio * direction[0], gradient[1] + ratio * direction[1]
+    noise = math.hypot(stack.noise, MODEL_ERROR)
+    square = float(np.vdot(remaining, remaining))
+    if square == 0.0:
+        return 0.0, math.inf
+    return float(np.vdot(remaining, residuals)) / square, noise / math.sqrt(square)
+
+
+def _power(gradient: tuple[ComplexArray, Array]) -> float:
+    return float(sum(np.vdot(part, part).real for part in gradient))

@@ -50,6 +50,7 @@ def in_free_space(
     summary = {
         "frames": [str(path) for path in frames],
         "calibrated": free.calibrate,
+        "aperture_stated": free.numerical_aperture is not None,
         **found.as_dict(),
         "predicted_mm": list(free.predict_mm or ()),
         "warnings": messages,
@@ -120,13 +121,23 @@ def _print(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> None
                 f"{plane['found_distance_mm']:.5g}",
                 f"{x:.3f}, {y:.3f}",
                 f"{plane['gain']:.4f}",
-                f"{plane['correlation']:.4f}",
+                "none" if plane["correlation"] is None else f"{plane['correlation']:.4f}",
             )
         )
     print(f"free space, numerical aperture {found.stack.aperture:.3g}: {len(found.misfit)} iterations")
     print()
     print_table((), ("plane (mm)", "estimated (mm)", "shift x, y (µm)", "gain", "correlation"), rows)
     print()
-    print(f"estimated distances: {found.distance_scale:.4f} times the stated ones")
-    print(f"misfit {summary['misfit']:.4f} (expected from noise alone: {summary['misfit_of_noise']:.4f})")
+    if found.seeks_distances:
+        print(
+            f"estimated distances: {found.distance_scale:.4f} times the stated ones (standard deviation "
+            f"{found.scale_deviation:.2g})"
+        )
+    else:
+        print("distances as stated")
+    print(f"misfit {found.misfit[-1]:.4f} (expected from noise alone: {found.stack.noise:.4f})")
+    print(
+        f"light beyond the numerical aperture of {found.stack.aperture:.3g} is not in the result"
+        + ("" if summary["aperture_stated"] else ": noise hides it; state a larger one if it is known")
+    )
     print(f"wrote {len(summary['files'])} files to {output}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -119,7 +120,10 @@ def test_folders_may_lie_deep_in_each_other(tmp_path: Path) -> None:
             file.write(zmx_text("LA1131", LA1131, 11.43))
     finally:
         os.close(here)
-    (found,), faults = find_vendor_files(tmp_path)
+    try:
+        (found,), faults = find_vendor_files(tmp_path)
+    finally:
+        subprocess.run(["rm", "-rf", tmp_path / "a"], check=True)  # pytest's own removal is recursive
     assert (found.name, faults) == ("deep.zmx", [])
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +17,15 @@ from wavesim.calibration import free_space
 from wavesim.calibration.free_space import (
     DEFAULT_FRAME_SETTINGS,
     FreeSpaceField,
+    HeldDistancesWarning,
     NotExplainedWarning,
+    descend,
     reconstruct_free_space,
+    scale_step,
+    stack_of,
 )
 from wavesim.sensor.colour_filters import ColourFilters
+from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import AssumedWarning, Frame, FrameSettings, read_frame
 
 PITCH_UM, WAVELENGTH_UM, PIXELS, WIDE = 0.4, 0.5, 96, 192
@@ -75,6 +83,75 @@ def test_a_stack_tells_its_drift_its_scale_and_its_exposures_and_predicts_other_
     assert at_stated_planes.distance_scale == pytest.approx(1.0)
     assert at_stated_planes.drift == pytest.approx((0.0, 0.0))
     assert alike(at_stated_planes, 35.0) < 0.99
+
+
+def weak_frame(z_um: float, phase_rad: float, absorbs: bool = False, noise: bool = True) -> Frame:
+    """Frame of a disc with a soft edge, of weak phase or absorption, in the middle of even light."""
+    position = PITCH_UM * (np.arange(WIDE) - WIDE / 2)
+    disc = 1.0 / (1.0 + np.exp((np.hypot(position[:, None], position) - 8.0) / 0.8))
+    cycles = np.fft.fftfreq(WIDE, PITCH_UM)
+    along = 2 * np.pi * z_um * np.sqrt(WAVELENGTH_UM**-2 - cycles[:, None] ** 2 - cycles**2)
+    spectrum = np.fft.fft2(np.exp((-1.0 if absorbs else 1.0j) * phase_rad * disc))
+    field = np.fft.ifft2(spectrum * np.exp(1j * along))
+    middle = slice((WIDE - PIXELS) // 2, (WIDE + PIXELS) // 2)
+    electrons = 4000.0 * np.abs(field[middle, middle]) ** 2
+    counts = np.random.default_rng(50 + int(z_um)).poisson(electrons) if noise else np.rint(electrons)
+    settings = {"pixel_pitch_um": PITCH_UM, "wavelength_um": WAVELENGTH_UM, "plane_distance_mm": 1e-3 * z_um}
+    return Frame(counts.astype(np.uint16), FrameSettings(**settings, **DEFAULT_FRAME_SETTINGS))
+
+
+@pytest.mark.parametrize(
+    ("planes_um", "phase_rad", "absorbs"),
+    [
+        ((0.0, 2.0, 4.0), 0.1, False),
+        ((-5.0, 0.0, 5.0), 0.1, False),
+        ((0.0, 10.0), 0.5, False),
+        ((0.0, 40.0), 0.5, True),
+    ],
+)
+def test_distances_that_frames_do_not_determine_stay_as_stated(
+    planes_um: tuple[float, ...], phase_rad: float, absorbs: bool
+) -> None:
+    """Phase and defocus of a weak object have the same effect; exposures are found nevertheless."""
+    frames = [weak_frame(z, phase_rad, absorbs) for z in planes_um]
+    dimmer = frames[-1].settings.replaced(exposure=1.1)
+    frames[-1] = Frame(frames[-1].counts, dimmer)
+    with pytest.warns(HeldDistancesWarning, match="stay as stated"):
+        found = reconstruct_free_space(frames, calibrates=True, iterations=30)
+    assert not found.seeks_distances
+    assert found.distance_scale == pytest.approx(1.0)
+    np.testing.assert_allclose(1e3 * found.stack.distances_mm, planes_um, atol=1e-9)
+    assert found.gains[-1] / found.gains[0] == pytest.approx(np.sqrt(1.1), abs=0.005)
+
+
+def test_the_deviation_of_the_scale_grows_as_the_object_becomes_weaker() -> None:
+    """In inverse proportion to the phase or more, since noise hides more of its band."""
+
+    def deviation(phase_rad: float) -> float:
+        frames = [weak_frame(z, phase_rad) for z in (10.0, 30.0, 80.0)]
+        recorded = recorded_planes(frames)
+        planes = [replace(one, distance_mm=1e-3 * z) for one, z in zip(recorded, (10, 30, 80), strict=True)]
+        stack = stack_of(planes, 1e-3 * PITCH_UM, WAVELENGTH_UM)
+        field, _, _ = descend(stack, 40, calibrates=False)
+        return scale_step(stack, field)[1]
+
+    assert deviation(0.1) > 4.0 * deviation(0.5)
+
+
+def test_even_frames_have_no_correlation_and_go_into_json() -> None:
+    """A phase object in focus, without noise."""
+    even, others = weak_frame(0.0, 0.5, noise=False), [weak_frame(z, 0.5, noise=False) for z in (10.0, 30.0)]
+    assert np.ptp(even.counts) == 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = reconstruct_free_space([even, *others], calibrates=True, iterations=5)
+        blank = [Frame(even.counts, one.settings) for one in others]
+        nothing = reconstruct_free_space(blank, iterations=3)
+    assert found.correlations[0] is None
+    assert found.correlations[1] is not None
+    assert nothing.correlations == (None, None)
+    for one in (found, nothing):
+        json.dumps(one.as_dict(), allow_nan=False)
 
 
 def real_frames(*planes_um: int) -> list[Frame]:

@@ -1,0 +1,71 @@
+#!/usr/bin/env bash
+# ray-optics cannot open a CODE V file whose title is empty.
+#
+# Guess from memory: TITLE '' is a valid command with an empty text, and is read as such; any reader accepts it.
+# Seen (ray-optics 0.9.8): IndexError, list index out of range. The same file without the command opens.
+# Why it matters: programs write TITLE '' for a lens that has no title. Delete the line.
+set -euo pipefail
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+python3 -m venv "$folder/venv"
+"$folder/venv/bin/pip" install --quiet --no-deps rayoptics==0.9.8 opticalglass==1.1.1 anytree==2.13.0 \
+  json-tricks==3.17.3 transforms3d==0.4.2 parsimonious==0.11.0 regex==2026.11.19 xlrd==2.0.2 \
+  numpy==2.4.6 scipy==1.17.1 pandas==3.1.1 matplotlib==3.11.2 \
+  requests==2.34.2 urllib3==2.8.0 idna==3.20 certifi==2026.10.19.post1 charset-normalizer==3.5.3 PyYAML==6.0.4 \
+  python-dateutil==4.0.0 packaging==26.4 pillow==13.0.0 pyparsing==3.3.3 kiwisolver==1.5.1 cycler==0.12.1 \
+  fonttools==4.68.0 contourpy==1.3.3
+cd "$folder"
+cat > empty.seq <<'LENS'
+RDM;LEN
+TITLE ''
+EPD 10
+DIM M
+WL 587.6
+REF 1
+XAN 0
+YAN 0
+SO 0.0 1e11
+S 50.0 5.0 NBK7_SCHOTT
+  STO
+S -50.0 45.0
+SI 0.0 0.0
+GO
+LENS
+cat > without.seq <<'LENS'
+RDM;LEN
+EPD 10
+DIM M
+WL 587.6
+REF 1
+XAN 0
+YAN 0
+SO 0.0 1e11
+S 50.0 5.0 NBK7_SCHOTT
+  STO
+S -50.0 45.0
+SI 0.0 0.0
+GO
+LENS
+venv/bin/python - <<'PYTHON'
+import logging
+import sys
+import warnings
+
+warnings.simplefilter("ignore")
+logging.disable(logging.CRITICAL)
+from importlib.metadata import version
+from pathlib import Path
+
+from rayoptics.codev.cmdproc import read_lens
+
+print("ray-optics", version("rayoptics"))
+
+seen = {}
+for name in ("empty", "without"):
+    try:
+        seen[name] = round(float(read_lens(Path(f"{name}.seq"))[0]["analysis_results"]["parax_data"].fod.efl), 3)
+    except IndexError as error:
+        seen[name] = f"IndexError: {error}"
+    print(f"title {name}: {seen[name]} (expected: focal length 49.213)")
+sys.exit(0 if seen == {"empty": "IndexError: list index out of range", "without": 49.213} else 1)
+PYTHON

@@ -1,0 +1,72 @@
+#!/usr/bin/env bash
+# ray-optics puts the terms of a toroid of a Zemax file 10 places too high.
+#
+# Guess from memory: PARM 3 of TOROIDAL is the coefficient of y^4, and becomes the second coefficient of the profile.
+# Seen (ray-optics 0.9.8): the reader appends it behind a profile that has ten coefficients of 0 already, and PARM 2
+# behind those. PARM 3 becomes the coefficient of y^24. At 5 mm, 1e-6 becomes a sag of 6e10 mm.
+# Why it matters: rays miss the surface, or end elsewhere without a message where the coefficient is small.
+set -euo pipefail
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+python3 -m venv "$folder/venv"
+"$folder/venv/bin/pip" install --quiet --no-deps rayoptics==0.9.8 opticalglass==1.1.1 anytree==2.13.0 \
+  json-tricks==3.17.3 transforms3d==0.4.2 parsimonious==0.11.0 regex==2026.11.19 xlrd==2.0.2 \
+  numpy==2.4.6 scipy==1.17.1 pandas==3.1.1 matplotlib==3.11.2 \
+  requests==2.34.2 urllib3==2.8.0 idna==3.20 certifi==2026.10.19.post1 charset-normalizer==3.5.3 PyYAML==6.0.4 \
+  python-dateutil==4.0.0 packaging==26.4 pillow==13.0.0 pyparsing==3.3.3 kiwisolver==1.5.1 cycler==0.12.1 \
+  fonttools==4.68.0 contourpy==1.3.3
+cd "$folder"
+cat > toroid.zmx <<'LENS'
+VERS 191106 258 36214
+MODE SEQ
+NAME lens
+UNIT MM X W X CM MR CPMM
+ENPD 10
+GCAT SCHOTT
+FTYP 0 0 1 1 0 0 0
+XFLN 0
+YFLN 0
+WAVM 1 0.5876 1
+PWAV 1
+SURF 0
+  TYPE STANDARD
+  CURV 0.0 0 0 0 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  TYPE TOROIDAL
+  CURV 0.02 0 0 0 0
+  PARM 1 60
+  PARM 2 0
+  PARM 3 1e-6
+  DISZ 5
+  GLAS N-BK7 0 0 1.5168 64.17 0 0 0 0 0 0
+SURF 2
+  TYPE STANDARD
+  CURV -0.02 0 0 0 0
+  DISZ 45
+SURF 3
+  TYPE STANDARD
+  CURV 0.0 0 0 0 0
+  DISZ 0
+LENS
+venv/bin/python - <<'PYTHON'
+import logging
+import sys
+import warnings
+
+warnings.simplefilter("ignore")
+logging.disable(logging.CRITICAL)
+from importlib.metadata import version
+from pathlib import Path
+
+from rayoptics.zemax.zmxread import read_lens_file
+
+print("ray-optics", version("rayoptics"))
+
+profile = read_lens_file(Path("toroid.zmx"))[0].seq_model.ifcs[1].profile
+place = next(i for i, a in enumerate(profile.coefs) if a)
+print(f"radius of rotation {profile.rR} mm (expected: 60)")
+print(f"PARM 3 is the coefficient of y^{2 * (place + 1)} (expected: y^4)")
+sys.exit(0 if profile.rR == 60.0 and place == 11 and profile.coefs[place] == 1e-6 else 1)
+PYTHON
