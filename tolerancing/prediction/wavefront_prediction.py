@@ -132,10 +132,10 @@ class WavefrontPrediction:
             known = np.isfinite(true)
             if not np.any(known):
                 return math.inf
-            difference = np.linalg.norm(point.rms_of_draws[:count][known] - true[known])
+            difference = float(np.linalg.norm(point.rms_of_draws[:count][known] - true[known]))
             smallest = RESOLVED_RMS_WAVES * math.sqrt(np.count_nonzero(known))
-            errors.append(difference / max(np.linalg.norm(true[known]), smallest))
-        return float(max(errors))
+            errors.append(difference / max(float(np.linalg.norm(true[known])), smallest))
+        return max(errors)
 
     @property
     def passed(self) -> NDArray[np.bool_]:
