@@ -598,11 +598,11 @@ def _leave_local_minimum(
             break
         other = _with_own_limit(case, settings, engine, reporter, search())
         other_judged = _with_less_bias(case, settings, engine, reporter, other)
-        other_excess = excess_of(case, other_judged.residual_maps)
         # The result of another search is preferred only if its residuals are clearly smaller. The errors of
         # the engine, which the excess contains, are the same in both.
         if other_judged.misfit[-1] < 0.97 * judged.misfit[-1]:
-            found, judged, excess = other, other_judged, other_excess
+            found, judged = other, other_judged
+            excess = excess_of(case, judged.residual_maps)
     return found, judged
 
 
