@@ -9,7 +9,7 @@ ground, whose bright parts it would clip.
 The object found is therefore tested: a few iterations without a limit show where its samples at the limit
 tend to. Where the frames raise them by more than noise does, the search continues without a limit, and the
 brightest parts of its result become the limit. Where hardly any sample is at the limit, the limit is too high
-and is lowered to the brightest fifth of the object.
+and is lowered to the transmission of the parts through which the brightest fifth of the light has passed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,6 @@ LEAST_AT_LIMIT = 0.2
 
 BRIGHTEST = 0.01
 """Fraction of the light that passes the brightest parts, after a search without a limit."""
-
 
 OVERSHOOTS = 0.1
 """Weight of the total variation that removes fine overshoots of a search without a limit, which would seem to
@@ -93,16 +92,18 @@ def with_own_limit(
     may_be_lowered = True
     while _real(found).max() <= 1.0:
         lifted = solve(found.transmission, found.scale, bounded=False, iterations=TEST_ITERATIONS)
-        at_limit = power * (_real(found) >= 1.0 - 1e-6)
+        is_at_limit = _real(found) >= 1.0 - 1e-6
         passed = power * _real(lifted) ** 2
-        fraction = float((passed * (at_limit > 0.0)).sum() / passed.sum())
+        if not np.any(passed):
+            return found
+        fraction = float(passed[is_at_limit].sum() / passed.sum())
         lower = _brightest(_real(lifted), passed, LEAST_AT_LIMIT)
         if may_be_lowered and fraction < LEAST_AT_LIMIT and LEAST_LOWERED < lower < 1.0:
             found = _after(found, lifted, solve(_over(lifted, lower), lower * found.scale, bounded=True))
             may_be_lowered = False
             continue
         smoothed = _smoothed(lifted, power, SMOOTHING * noise_of_step / found.scale)
-        if fraction == 0.0 or _mean(smoothed, at_limit) <= 1.0 + LARGEST_RISE:
+        if fraction == 0.0 or _mean(smoothed, power * is_at_limit) <= 1.0 + LARGEST_RISE:
             return found
         found = _after(found, lifted, solve(lifted.transmission, found.scale, bounded=False))
         break

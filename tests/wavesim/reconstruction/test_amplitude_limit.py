@@ -106,6 +106,12 @@ def test_the_result_does_not_depend_on_the_brightness_of_the_object(bench: Bench
     assert scale[1] / scale[0] == pytest.approx(0.7, rel=0.05)
 
 
+def test_an_object_through_which_no_light_passes_stays_as_it_is(bench: Bench) -> None:
+    dark = bench.light.with_values(np.zeros_like(bench.light.values))
+    found = Reconstructed(dark, (1.0,), (), 1.0, "converged")
+    assert with_own_limit(lambda *_, **__: found, found, bench.light, 0.1) is found
+
+
 def test_the_clear_ground_of_a_chart_is_1(bench: Bench) -> None:
     grid = bench.light.grid
     x, y = 1e3 * grid.x_mm, 1e3 * grid.y_mm[:, None]
