@@ -15,7 +15,7 @@ from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Json
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors
-from wavesim.cli.options import DesignOption, Empty, Frames, Output, Priors, print_warnings
+from wavesim.cli.options import DesignOption, Empty, Frames, Output, Priors, print_warnings, warning_messages
 from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import STOP_ORIGINS, CalibrationSettings, FrameSetSettings
 
@@ -91,7 +91,9 @@ def calibrate(
             """Write a bench that is not judged yet."""
             with warnings.catch_warnings():  # those of plots are no warnings about the result
                 warnings.simplefilter("ignore")
-                write_calibration(found, frames, pictures, extra | {"warnings": _messages(caught)}, output)
+                write_calibration(
+                    found, frames, pictures, extra | {"warnings": warning_messages(caught)}, output
+                )
             searched.append(found)
 
         try:
@@ -111,7 +113,7 @@ def calibrate(
                 raise
             found = searched[0]
     is_judged = found.verdict is not None or not searched
-    messages = _messages(caught)
+    messages = warning_messages(caught)
     print_warnings(messages)
     summary = write_calibration(found, frames, pictures, extra | {"warnings": messages}, output)
     if is_judged:
@@ -125,10 +127,6 @@ def calibrate(
         if not is_judged:
             print(f"verdict: not judged: interrupted after the search; {ADVICE['not judged']}")
     raise typer.Exit(0 if is_judged and found.explained is not False else 1)
-
-
-def _messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
-    return list(dict.fromkeys(str(warning.message) for warning in caught))
 
 
 def write_calibration(

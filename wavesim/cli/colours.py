@@ -14,7 +14,7 @@ from lensdesign.common.options import Design, Json
 from lensdesign.common.text import visible
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import frame_files
-from wavesim.cli.options import Output, print_warnings
+from wavesim.cli.options import Output, print_warnings, warning_messages
 from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import ColourSettings, FrameSetSettings
 
@@ -73,7 +73,7 @@ def colours(
         pictures = read_colour_frames(frame_files(frames, "FRAMES"), of_frames, lens=lens)
         with progress() as on_progress:
             found = reconstruct_colours(lens, pictures, settings, truth=truth, progress=on_progress)
-    messages = list(dict.fromkeys(str(warning.message) for warning in caught))
+    messages = warning_messages(caught)
     print_warnings(messages)
     summary = {"design": lens.title or design.stem} | found.as_dict()
     summary |= {"warnings": messages, "versions": versions()}

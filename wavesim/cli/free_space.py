@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.common.console import print_json
-from wavesim.cli.options import print_warnings
+from wavesim.cli.options import print_warnings, warning_messages
 from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import FrameSetSettings, FreeSpaceSettings, ReconstructionSettings, SettingError
 
@@ -45,7 +45,7 @@ def in_free_space(
             aperture=free.numerical_aperture,
             progress=on_progress,
         )
-    messages = list(dict.fromkeys(str(warning.message) for warning in caught))
+    messages = warning_messages(caught)
     print_warnings(messages)
     summary = {
         "frames": [str(path) for path in frames],

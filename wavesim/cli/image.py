@@ -15,7 +15,7 @@ from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_bench_state
-from wavesim.cli.options import Output, print_warnings, settings_text
+from wavesim.cli.options import Output, print_warnings, settings_text, warning_messages
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.patches import OBJECT_FINENESS
 from wavesim.scene.settings import ImageSettings
@@ -144,7 +144,7 @@ def _recorded(
         imaged = record(
             lens, object_, settings, state=state, folder=output, progress=on_progress, on_estimate=on_estimate
         )
-    messages = list(dict.fromkeys(str(warning.message) for warning in caught))
+    messages = warning_messages(caught)
     print_warnings(messages)
     summary = {"design": name} | _summary(imaged) | {"warnings": messages}
     summary["files"] = [str(output / file) for file in _write(imaged, summary, output)]

@@ -13,7 +13,7 @@ from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_bench_state, with_calibrated_stop
-from wavesim.cli.options import print_warnings
+from wavesim.cli.options import print_warnings, warning_messages
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import (
     STOP_ORIGINS,
@@ -62,7 +62,7 @@ def in_layers(
         )
     if stop_doubt:
         found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
-    messages = list(dict.fromkeys(str(warning.message) for warning in caught))
+    messages = warning_messages(caught)
     print_warnings(messages)
     summary = {
         "design": lens.title or design.stem,

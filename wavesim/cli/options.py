@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import types
+import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -268,6 +269,11 @@ def settings_text(settings: dict[str, Any]) -> str:
         f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}"
         for name, value in settings.items()
     )
+
+
+def warning_messages(caught: Iterable[warnings.WarningMessage]) -> list[str]:
+    """Return the messages of recorded warnings, each of them once."""
+    return list(dict.fromkeys(str(warning.message) for warning in caught))
 
 
 def print_warnings(messages: Iterable[str]) -> None:

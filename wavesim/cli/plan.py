@@ -13,7 +13,7 @@ from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.files.design import load_design
-from wavesim.cli.options import print_warnings, validate_picture_request
+from wavesim.cli.options import print_warnings, validate_picture_request, warning_messages
 from wavesim.cli.runs import print_table, progress
 from wavesim.scene.settings import PlanSettings
 
@@ -67,7 +67,7 @@ def plan(
     with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = plan_frames(lens, settings, example=object_, progress=on_progress)
-    messages = list(dict.fromkeys(str(warning.message) for warning in caught))
+    messages = warning_messages(caught)
     print_warnings(messages)
     title = lens.title or design.stem
     if output is not None:

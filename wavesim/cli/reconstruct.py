@@ -27,7 +27,7 @@ from wavesim.cli.bench_files import (
 )
 from wavesim.cli.free_space import in_free_space
 from wavesim.cli.layers import in_layers
-from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings
+from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings, warning_messages
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import (
     STOP_ORIGINS,
@@ -151,7 +151,7 @@ def reconstruct(
     tell_memory = memory_teller(output)
 
     def on_estimate(memory: Memory) -> None:
-        print_warnings(_messages(caught))
+        print_warnings(warning_messages(caught))
         if not as_json:
             tell_memory(memory)
 
@@ -197,7 +197,7 @@ def reconstruct(
             summary = {"design": lens.title or design.stem} | found.as_dict()
             summary["field_stop_from"] = stop_from or summary["field_stop_from"]
             return summary | {
-                "warnings": _messages(caught),
+                "warnings": warning_messages(caught),
                 "engine": engine_summary(found.engine, found.predicted_error),
                 "memory": found.memory.as_dict(),
                 "versions": versions(),
@@ -289,10 +289,6 @@ def _write_and_print(
         print_calibration(found, summary, output)
         print()
     return found.state
-
-
-def _messages(caught: list[warnings.WarningMessage]) -> list[str]:
-    return list(dict.fromkeys(str(warning.message) for warning in caught))
 
 
 @contextmanager

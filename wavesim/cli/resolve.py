@@ -15,7 +15,13 @@ from lensdesign.common.progress import progress_count
 from lensdesign.common.text import decimals_text
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.options import numbers, print_warnings, settings_text, validate_picture_request
+from wavesim.cli.options import (
+    numbers,
+    print_warnings,
+    settings_text,
+    validate_picture_request,
+    warning_messages,
+)
 from wavesim.cli.runs import print_table
 from wavesim.engines.registry import ENGINES
 from wavesim.scene.lengths import validate_lengths
@@ -145,7 +151,7 @@ def resolve(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         tests = _tests(lens, widths, heights, engines, common)
-    print_warnings(dict.fromkeys(str(warning.message) for warning in caught))
+    print_warnings(warning_messages(caught))
     title = lens.title or design.stem
     if output is not None:
         light = f"{wavelength_um or lens.wavelengths_um[0]:g} µm"
