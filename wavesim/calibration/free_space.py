@@ -321,6 +321,8 @@ def reconstruct_free_space(
 
     Warns
     -----
+    HeldDistancesWarning
+        If a calibration keeps the stated distances, because the frames do not determine them.
     NotExplainedWarning
         If the misfit stays above the frames' noise.
     """
@@ -340,8 +342,8 @@ def reconstruct_free_space(
     pitch_mm = 1e-3 * frame_settings.pixel_pitch_um
     stack = stack_of(recorded, pitch_mm, frame_settings.wavelength_um, aperture)
 
-    def found(start: Stack, seeks_distances: bool) -> tuple[ComplexArray, Stack, list[float]]:
-        return descend(
+    def found(start: Stack, seeks_distances: bool) -> FreeSpaceField:
+        samples, end, misfit = descend(
             start,
             iterations,
             calibrates=calibrates,
@@ -350,20 +352,22 @@ def reconstruct_free_space(
                 f"free space: misfit {misfit_now:.5f}", index + 1, iterations
             ),
         )
+        pixels = Grid(frames[0].counts.shape, pitch_mm, 0.0)
+        result = _result(end, samples, plane_frames, misfit, pixels)
+        return replace(result, scale_deviation=deviation, seeks_distances=seeks_distances)
 
     deviation, seeks_distances, start = None, False, stack
     if calibrates:
         progress("scale of distances", 0, 0)
         first, placed, _ = descend(stack, SCALE_ITERATIONS, calibrates=True, seeks_distances=False)
-        deviation = scale_step(placed, first)[1]
+        deviation = scale_deviation(placed, first)
         seeks_distances = deviation <= LARGEST_DEVIATION and len(recorded) >= FEWEST_PLANES
         if seeks_distances:
             start = stack.scaled(best_scale(stack))
-    samples, end, misfit = found(start, seeks_distances)
-    if seeks_distances and not _is_within_range(stack, end):
-        seeks_distances = False
-        samples, end, misfit = found(stack, seeks_distances)
-    if calibrates and not seeks_distances:
+    result = found(start, seeks_distances)
+    if seeks_distances and not SCALES[0] <= result.distance_scale <= SCALES[1]:
+        result = found(stack, seeks_distances=False)
+    if calibrates and not result.seeks_distances:
         assert deviation is not None
         reason = f"their scale has a standard deviation of {100.0 * deviation:.2g} %"
         if len(recorded) < FEWEST_PLANES:
@@ -375,26 +379,17 @@ def reconstruct_free_space(
             HeldDistancesWarning,
             stacklevel=2,
         )
-    stack = end
     # Relative rounding of amplitudes in single precision, for frames without noise.
     noise = max(stack.noise, 1e-4)
-    if misfit[-1] > LARGEST_NOISE_RATIO * noise:
+    if result.misfit[-1] > LARGEST_NOISE_RATIO * noise:
         warnings.warn(
-            f"the frames are not explained within their noise: the misfit is {misfit[-1]:.3g}, "
-            f"{misfit[-1] / noise:.2g} times that of noise alone; to test the field, omit the frames "
+            f"the frames are not explained within their noise: the misfit is {result.misfit[-1]:.3g}, "
+            f"{result.misfit[-1] / noise:.2g} times that of noise alone; to test the field, omit the frames "
             "of one plane and compare them with its prediction",
             NotExplainedWarning,
             stacklevel=2,
         )
-    pixels = Grid(frames[0].counts.shape, pitch_mm, 0.0)
-    result = _result(stack, samples, plane_frames, misfit, pixels)
-    return replace(result, scale_deviation=deviation, seeks_distances=seeks_distances)
-
-
-def _is_within_range(stated: Stack, found: Stack) -> bool:
-    """Return whether the found distances are those of a scale within the range of the search."""
-    scale = np.polyfit(stated.distances_mm, found.distances_mm, 1)[0]
-    return bool(SCALES[0] <= scale <= SCALES[1])
+    return result
 
 
 def _result(
@@ -689,8 +684,8 @@ def _linearised(
     return conjugate_phase, columns, residual
 
 
-def scale_step(stack: Stack, field: ComplexArray) -> tuple[float, float]:
-    """Return the relative step of the scale of distances, and the standard deviation of the scale.
+def scale_deviation(stack: Stack, field: ComplexArray) -> float:
+    """Return the standard deviation of the scale of distances that the frames determine.
 
     The field, the positions of the planes across z and their gains are determined by the same frames: the
     part of the scale's derivative that they can take up carries no information. For a weak phase object, this
@@ -703,11 +698,7 @@ def scale_step(stack: Stack, field: ComplexArray) -> tuple[float, float]:
     field
         Field on z = 0 that the planes have given.
     """
-    planes, residuals = [], []
-    for index in range(len(stack.recorded)):
-        phases, columns, residual = _linearised(stack, field, index)
-        planes.append((phases, columns))
-        residuals.append(residual)
+    planes = [_linearised(stack, field, index)[:2] for index in range(len(stack.recorded))]
     propagators = [stack.propagator_to(plane.distance_mm, plane.shift_mm) for plane in stack.recorded]
     shape = planes[0][0].shape
     # x, y and gain of each plane, each column of length 1 on its plane.
@@ -751,11 +742,8 @@ def scale_step(stack: Stack, field: ComplexArray) -> tuple[float, float]:
         previous, power = power, _power(gradient)
         ratio = power / previous
         direction = gradient[0] + ratio * direction[0], gradient[1] + ratio * direction[1]
-    noise = math.hypot(stack.noise, MODEL_ERROR)
-    square = float(np.vdot(remaining, remaining))
-    if square == 0.0:
-        return 0.0, math.inf
-    return float(np.vdot(remaining, residuals)) / square, noise / math.sqrt(square)
+    size = float(np.linalg.norm(remaining))
+    return math.hypot(stack.noise, MODEL_ERROR) / size if size else math.inf
 
 
 def _power(gradient: tuple[ComplexArray, Array]) -> float:

@@ -21,7 +21,7 @@ from wavesim.calibration.free_space import (
     NotExplainedWarning,
     descend,
     reconstruct_free_space,
-    scale_step,
+    scale_deviation,
     stack_of,
 )
 from wavesim.sensor.colour_filters import ColourFilters
@@ -133,7 +133,7 @@ def test_the_deviation_of_the_scale_grows_as_the_object_becomes_weaker() -> None
         planes = [replace(one, distance_mm=1e-3 * z) for one, z in zip(recorded, (10, 30, 80), strict=True)]
         stack = stack_of(planes, 1e-3 * PITCH_UM, WAVELENGTH_UM)
         field, _, _ = descend(stack, 40, calibrates=False)
-        return scale_step(stack, field)[1]
+        return scale_deviation(stack, field)
 
     assert deviation(0.1) > 4.0 * deviation(0.5)
 
