@@ -82,7 +82,7 @@ Stages state distances with about this error. Two planes measure as many numbers
 
 
 class HeldDistancesWarning(UserWarning):
-    """Frames do not determine the distances of their planes, which stay as stated."""
+    """Distances of planes stay as stated: frames do not determine them, or the search has left its range."""
 
 
 class NotExplainedWarning(UserWarning):
@@ -322,7 +322,7 @@ def reconstruct_free_space(
     Warns
     -----
     HeldDistancesWarning
-        If a calibration keeps the stated distances, because the frames do not determine them.
+        If a calibration keeps the stated distances.
     NotExplainedWarning
         If the misfit stays above the frames' noise.
     """
@@ -372,10 +372,17 @@ def reconstruct_free_space(
         reason = f"their scale has a standard deviation of {100.0 * deviation:.2g} %"
         if len(recorded) < FEWEST_PLANES:
             reason = f"{len(recorded)} planes measure as many numbers as the field has"
-        warnings.warn(
+        cause = (
             f"the frames do not determine the distances of their planes ({reason}), as for weak phase "
-            "objects, whose phase and defocus have the same effect: the distances stay as stated, and only "
-            "positions across and exposures are calibrated; record more planes, farther from the object",
+            "objects, whose phase and defocus have the same effect"
+        )
+        advice = "record more planes, farther from the object"
+        if seeks_distances:
+            cause = "the scale of the distances has left its range, {:g} to {:g} times".format(*SCALES)
+            advice = "check the stated distances, the pixel pitch and the wavelength"
+        warnings.warn(
+            f"{cause}: the distances stay as stated, and only positions across and exposures are calibrated; "
+            f"{advice}",
             HeldDistancesWarning,
             stacklevel=2,
         )

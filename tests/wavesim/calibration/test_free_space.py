@@ -124,6 +124,18 @@ def test_distances_that_frames_do_not_determine_stay_as_stated(
     assert found.gains[-1] / found.gains[0] == pytest.approx(np.sqrt(1.1), abs=0.005)
 
 
+def test_distances_out_of_the_range_of_the_search_stay_as_stated_and_the_reason_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(free_space, "SCALES", (0.8, 1.02))
+    monkeypatch.setattr(free_space, "best_scale", lambda stack: SCALE)
+    with pytest.warns(HeldDistancesWarning, match=r"0\.8 to 1\.02"):
+        found = reconstruct_free_space([frame(z) for z in PLANES_UM], calibrates=True, iterations=10)
+    assert found.scale_deviation is not None
+    assert found.scale_deviation < 0.005
+    assert found.distance_scale == pytest.approx(1.0)
+
+
 def test_the_deviation_of_the_scale_grows_as_the_object_becomes_weaker() -> None:
     """In inverse proportion to the phase or more, since noise hides more of its band."""
 
