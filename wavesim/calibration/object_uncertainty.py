@@ -149,8 +149,6 @@ def object_uncertainty(
         changes += [np.zeros_like(values) for _ in absorbed]
         if equations.kind == "phase":
             exponents.real = 0.0
-    if not changes:
-        changes.append(np.zeros_like(values))
     return ObjectUncertainty(light, values, np.stack(changes), exponents)
 
 

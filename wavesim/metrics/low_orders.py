@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
-from wavesim.scene.light_errors import Orders, light_mode
+from wavesim.scene.light_errors import LightErrors, Orders, light_mode, sum_of_modes
 
 ComplexArray = NDArray[np.complexfloating]
 
@@ -43,8 +43,7 @@ def low_order_coefficients(values: NDArray, reference: NDArray, weight: NDArray[
 
 def low_order_polynomial(coefficients: ComplexArray, shape: tuple[int, ...]) -> ComplexArray:
     """Return the polynomial with some coefficients on the samples of a patch."""
-    modes = (light_mode(orders, shape) for orders in LOW_ORDERS)
-    return np.asarray(sum(c * mode for c, mode in zip(coefficients, modes, strict=True)), complex)
+    return np.asarray(sum_of_modes(dict(zip(LOW_ORDERS, coefficients, strict=True)), shape), complex)
 
 
 def low_order_factor(coefficients: ComplexArray, shape: tuple[int, ...]) -> ComplexArray:
@@ -82,10 +81,9 @@ def with_low_orders_of(true: Field, found: Field, inside: NDArray[np.bool_]) -> 
     inside
         Samples within the field stop.
     """
-    values, shape = np.where(inside, true.values, 0.0), true.grid.shape
+    values = np.where(inside, true.values, 0.0).astype(complex)
     ratio = found.with_values(np.where(inside, found.values, 0.0) * values.conj())
     waves = smooth_phase_waves(ratio) if np.any(ratio.values) else {}
-    exponent = 2j * np.pi * np.array([waves.get(orders, 0.0) for orders in LOW_ORDERS])
-    near = values * low_order_factor(exponent, shape)
+    near = LightErrors(phase_waves=waves).on(true.with_values(values)).values
     coefficients = low_order_coefficients(found.values, near, inside.astype(float))
-    return (near * low_order_polynomial(coefficients, shape)).astype(np.complex64)
+    return (near * low_order_polynomial(coefficients, near.shape)).astype(np.complex64)

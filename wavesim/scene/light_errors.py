@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legval
@@ -64,12 +65,12 @@ class LightErrors:
         if not (any(self.tilt_deg) or any(self.amplitude.values()) or any(self.phase_waves.values())):
             return light
         shape = light.grid.shape
-        relative = 1.0 + _sum_of_modes(self.amplitude, shape)
+        relative = 1.0 + sum_of_modes(self.amplitude, shape)
         if relative.min() < 0.0:
             raise InputError(
                 f"light amplitude: the modes reduce it to {relative.min():.3g}; it must stay above 0"
             )
-        phase = 2.0 * np.pi * _sum_of_modes(self.phase_waves, shape)
+        phase = 2.0 * np.pi * sum_of_modes(self.phase_waves, shape)
         slopes = [math.tan(math.radians(tilt)) for tilt in self.tilt_deg]
         per_mm = 2e3 * np.pi * light.index / light.wavelength_um / math.hypot(1.0, *slopes)
         x, y = light.grid.x_mm - light.grid.centre_mm[0], light.grid.y_mm - light.grid.centre_mm[1]
@@ -89,5 +90,6 @@ def light_mode(orders: Orders, shape: tuple[int, ...]) -> Array:
     return np.outer(down, across)
 
 
-def _sum_of_modes(sizes: Mapping[Orders, float], shape: tuple[int, ...]) -> Array:
+def sum_of_modes(sizes: Mapping[Orders, Any], shape: tuple[int, ...]) -> Any:
+    """Return the sum of modes (:func:`light_mode`) with real or complex sizes on the samples of a patch."""
     return sum((c * light_mode(orders, shape) for orders, c in sizes.items()), np.zeros(shape))
