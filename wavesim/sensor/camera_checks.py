@@ -1,9 +1,9 @@
 """Checks of a camera's stated black level and largest count against the counts of its frames.
 
-Pixels without light have the black level as their mean, and the noise of dark pixels. Light adds shot noise,
-so that a level above the stated one without more noise is no light. A level below the stated one cannot be
-light either. The darkest part of a picture is selected by half of its pixels, and measured on the other half,
-since pixels that select themselves would seem too dark.
+Pixels without light have the black level as their mean, and the noise of dark pixels. Light raises the mean
+and adds shot noise. Dark pixels with a mean above the stated level, but without more noise, therefore
+contradict it, and so do pixels with a mean below it. The darkest part of a picture is selected by half of its
+pixels, and measured on the other half, since pixels that select themselves would seem too dark.
 
 Where a camera clips, many pixels share the largest count. Without clipping, noise spreads the counts of the
 brightest pixels, and few have the largest one.

@@ -14,7 +14,7 @@ ORIENTATIONS: dict[str, Callable[[Any], Any]] = {
     "transposed": lambda a: a.T,
     "transposed and turned by 180°": lambda a: a[::-1, ::-1].T,
 }
-"""Orientations other than the stated one; pictures are cropped to a square."""
+"""Orientations other than the stated one. The last four keep only the shape of square pictures."""
 
 
 def square_part(values: Any) -> Any:
