@@ -75,7 +75,7 @@ class LightErrors:
         per_mm = 2e3 * np.pi * light.index / light.wavelength_um / math.hypot(1.0, *slopes)
         x, y = light.grid.x_mm - light.grid.centre_mm[0], light.grid.y_mm - light.grid.centre_mm[1]
         phase = phase + per_mm * (slopes[0] * x[None, :] + slopes[1] * y[:, None])
-        factor = (relative * np.exp(1j * phase)).astype(light.values.dtype)
+        factor = (relative * np.exp(1j * phase)).astype(np.result_type(light.values, np.complex64))
         return light.with_values(light.values * factor)
 
 

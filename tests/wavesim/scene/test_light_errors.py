@@ -19,6 +19,16 @@ def test_a_tilt_is_that_of_a_tilted_plane_wave() -> None:
     assert np.allclose(tilted.values, plane_wave(GRID, 0.532, tilt_x_deg=0.7, tilt_y_deg=-1.3).values)
 
 
+@pytest.mark.filterwarnings("error")
+def test_real_light_gets_a_phase() -> None:
+    grid, errors = Grid((6, 8), 1e-3, 0.0), LightErrors(phase_waves={(1, 0): 0.2})
+    for dtype, expected in ((np.float32, np.complex64), (np.float64, np.complex128)):
+        real = Field(grid, np.full(grid.shape, 2.0, dtype), 0.5)
+        found = errors.on(real).values
+        assert found.dtype == expected
+        np.testing.assert_allclose(found, errors.on(real.with_values(real.values + 0j)).values, rtol=1e-6)
+
+
 def test_modes_are_legendre_polynomials_over_the_patch() -> None:
     """Even sums over the samples: orthogonal but for the sampling."""
     x = (GRID.x_mm - GRID.centre_mm[0]) / (0.5 * 48 * 5e-4)
