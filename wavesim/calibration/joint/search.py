@@ -243,6 +243,7 @@ class JointSearch:
         del stage_end  # its columns are large
         if self._is_unsettled(current, verified) and len(state.trail) < self.most_benches:
             iterations = min(2 * self.iterations, MOST_ITERATIONS)
+            del current, verified, reference  # the next search makes its own engines and derivatives
             return self.run(replace(state, iterations=iterations, stretch=FIRST_STRETCH[1]))
         return self._estimated(state, current, verified, reference.ray_derivatives, reason)
 
