@@ -154,9 +154,9 @@ class DrawingYieldPredictor:
 
 def _loss(own: StudyPrediction, found: StudyPrediction) -> float:
     """Return the loss of yield by a drawing, from the predictions of the study as given and as drawn."""
-    if own.joint and found.joint and own.joint.draws == len(own.limits[0].scores):
-        return own.joint.fraction - found.joint.fraction
     loss = own.within_wavefronts_and_rays - found.within_wavefronts_and_rays
+    if math.isnan(loss):  # the study has no limits on wavefronts and rays
+        loss = 0.0
     # Merits that are scored draw by draw have fewer draws, so only a clear difference counts.
     if own.joint and found.joint and found.joint.high < own.joint.low:
         loss = max(loss, own.joint.fraction - found.joint.fraction)

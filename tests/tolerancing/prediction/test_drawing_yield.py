@@ -11,10 +11,12 @@ from places import DESIGNS, GOLDEN
 from lensdesign.manufacture.drawing.assumed import AssumedTolerances, load_tolerances
 from lensdesign.manufacture.drawing.predicted_yield import MAX_YIELD_LOSS
 from lensdesign.manufacture.drawing.sheets import drawing_as_stated
+from tolerancing.merits.pupil import ImageShift
 from tolerancing.perturbations.grades import starting_study
 from tolerancing.prediction.as_drawn_study import as_drawn_study, drawing_indications
 from tolerancing.prediction.drawing_yield import LOSS_ALL, DrawingYieldPredictor
 from tolerancing.prediction.study_prediction import predict_study
+from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.files import LoadedStudy, load_study, study_from_tables
 
 FOLDER = GOLDEN / "designer_b"
@@ -86,6 +88,43 @@ def test_a_study_of_other_merits_is_not_scored(loaded: LoadedStudy, general) -> 
     predictor = DrawingYieldPredictor(study, "study")
     assert predictor.derive(general.lens, general.tolerances).tolerances == general.tolerances
     assert predictor.predict(loaded.lens, general.lens, general.tolerances) is None
+
+
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1024 drawn lenses, 32 of which are scored draw by draw."""
+    monkeypatch.setattr(
+        "tolerancing.prediction.study_prediction.drawn_batch", lambda study: drawn_batch(study, every=8)
+    )
+    monkeypatch.setattr("tolerancing.prediction.study_prediction.SCORED_DRAWS", 32)
+    monkeypatch.setattr("tolerancing.prediction.drawing_yield._losses", lambda *_: [])
+
+
+@pytest.mark.usefixtures("few_draws")
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_limit_that_all_lenses_keep_adds_no_loss(loaded: LoadedStudy, general, is_first: bool) -> None:
+    """Though it has fewer draws than the others, whether it is the first limit or not."""
+    (waves,) = loaded.study.all_merits
+    lax, shift = waves.model_copy(update={"at_most": 0.5}), ImageShift(kind="image_shift_um", at_most=1e4)
+    alone, both = (
+        DrawingYieldPredictor(loaded.study.model_copy(update={"all_merits": merits}), "study").predict(
+            loaded.lens, general.lens, general.tolerances
+        )
+        for merits in ((lax,), (shift, lax) if is_first else (lax, shift))
+    )
+    assert alone is not None
+    assert both is not None
+    assert both.loss == alone.loss > MAX_YIELD_LOSS
+
+
+@pytest.mark.usefixtures("few_draws")
+def test_limits_with_few_draws_alone_have_a_loss(loaded: LoadedStudy, general) -> None:
+    shift = ImageShift(kind="image_shift_um", at_most=1e4)
+    study = loaded.study.model_copy(update={"all_merits": (shift,)})
+    found = DrawingYieldPredictor(study, "study").predict(loaded.lens, general.lens, general.tolerances)
+    assert found is not None
+    assert found.study_yield == found.as_drawn_yield == 1.0
+    assert found.loss == 0.0
 
 
 @pytest.mark.parametrize("grade", ["precision", "iso10110"])
