@@ -20,15 +20,7 @@ from lensdesign.lens.zernikes import zernike
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
-from tolerancing.merits.line_pairs import LinePairContrast
-from tolerancing.merits.pupil import (
-    ImageShift,
-    ModulationTransfer,
-    PupilMerit,
-    RmsWaves,
-    SmallestResolvedLine,
-    Strehl,
-)
+from tolerancing.merits.pupil import PupilMerit
 from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.prediction.derivatives import ARMS, RINGS, FieldDifferentials, nominal_paths
@@ -81,10 +73,8 @@ class PredictedPupils(Context):
         wavelength = self.wavelength_um(wavelength_um)
 
         def predicted() -> list[ReconstructionPupil]:
-            known = self._derivatives
-            amounts = amounts_of(batch)
-            values = known.compensation.values(amounts)
-            together = np.concatenate([amounts, values if compensated else 0.0 * values], axis=1)
+            known, values = self._derivatives, self.compensator_values(batch)
+            together = np.concatenate([amounts_of(batch), values if compensated else 0.0 * values], axis=1)
             grid = self.sampler(field_mm, wavelength).grid
             fit = self.cached(("fit", field_mm, wavelength), lambda: self._fit(grid, field_mm, wavelength))
             field = known.fields[self._index[field_mm, wavelength]]
@@ -93,6 +83,10 @@ class PredictedPupils(Context):
             return [ReconstructionPupil(grid, own, valid) for own in opd_mm]
 
         return self.cached_for(batch, ("pupils", field_mm, wavelength, compensated), predicted)
+
+    def compensator_values(self, batch: PerturbationBatch) -> Array:
+        fitted = self._derivatives.compensation.values
+        return self.cached_for(batch, "compensators", lambda: fitted(amounts_of(batch)))
 
     def _fit(self, grid: PupilGrid, field_mm: tuple[float, float], wavelength_um: float) -> Array:
         """Return the matrix from path differences on the rays to those at the samples of a pupil."""
@@ -104,10 +98,7 @@ class PredictedPupils(Context):
 
 def is_scored_by_draw(merit: Merit) -> bool:
     """Return whether a merit scores predicted pupils, or is a predicted loss of a reconstruction."""
-    pupils = Strehl | RmsWaves | ModulationTransfer | SmallestResolvedLine | ImageShift | LinePairContrast
-    return isinstance(merit, ReconstructionLoss) or (
-        isinstance(merit, pupils) and merit.used_level == "pupil"
-    )
+    return isinstance(merit, PupilMerit) and merit.used_level == "pupil"
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,15 +145,16 @@ def scores_by_draw(
     context: Context | None = None
     if not all(isinstance(merit, ReconstructionLoss) for merit in merits):
         context = predicted_pupils(lens, study, merits, batch)
+    scorers = [_scorer(lens, study, merit, context) for merit in merits]
     # Number of draws that are scored, and whose pupils are held, at one time.
     block = 32
-    parts = [slice(start, start + block) for start in range(0, len(batch), block)]
     scores = np.empty((len(batch), len(merits)))
-    for k, merit in enumerate(merits):
-        score = _scorer(lens, study, merit, context)
-        for part in parts:
+    for start in range(0, len(batch), block):
+        part = slice(start, start + block)
+        drawn = batch.subset(part)
+        for k, score in enumerate(scorers):
             proceed()
-            scores[part, k] = score(batch.subset(part))
+            scores[part, k] = score(drawn)
     proceed()
     as_predicted = study
     if context is not None:
