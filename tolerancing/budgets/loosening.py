@@ -10,7 +10,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from tolerancing.budgets.score_model import StudyScoreModel
 from tolerancing.merits.base import all_passed
-from tolerancing.prediction.study_prediction import is_predicted
+from tolerancing.prediction.study_prediction import is_scored_at_once
 from tolerancing.study.study import Study
 
 
@@ -41,7 +41,7 @@ def loosen_each(lens: Lens, study: Study) -> tuple[LoosenedYield, ...]:
     InputError, DesignError
         If the study cannot be predicted; see :func:`tolerancing.prediction.predict_study`.
     """
-    merits = tuple(merit for merit in study.merits if is_predicted(merit))
+    merits = tuple(merit for merit in study.merits if is_scored_at_once(merit))
     model = StudyScoreModel(
         lens,
         study.model_copy(update={"all_merits": merits}),

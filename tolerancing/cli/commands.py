@@ -339,9 +339,9 @@ def _print_trial(trial: SingleTrial) -> None:
 
 def _predicted(store: Store) -> StudyPrediction | None:
     """Return the prediction of `tolerancing predict` if all merits have one that takes a second or two."""
-    from tolerancing.prediction.study_prediction import is_predicted, predict_study
+    from tolerancing.prediction.study_prediction import is_scored_at_once, predict_study
 
-    if not all(is_predicted(merit) for merit in store.study.merits):
+    if not all(is_scored_at_once(merit) for merit in store.study.merits):
         return None
     try:
         return predict_study(store.loaded.lens, store.study)

@@ -29,10 +29,14 @@ from tolerancing.prediction.as_drawn_study import (
     with_value,
 )
 from tolerancing.prediction.drawing_indication import OF_ELEMENT, DrawingIndication, Key
-from tolerancing.prediction.drawn_scores import is_scored_by_draw
 from tolerancing.prediction.factor_yields import FirstOrderYield, JointYield
 from tolerancing.prediction.ray_prediction import predicted_merits
-from tolerancing.prediction.study_prediction import StudyPrediction, is_predicted, predict_study
+from tolerancing.prediction.study_prediction import (
+    StudyPrediction,
+    is_predicted,
+    is_scored_at_once,
+    predict_study,
+)
 from tolerancing.prediction.wavefront_prediction import is_predicted_wavefront
 from tolerancing.study.files import check_against, save_study
 from tolerancing.study.study import Study
@@ -120,7 +124,7 @@ class DrawingYieldPredictor:
         DesignError
             If the study does not fit the lens, or rays do not pass.
         """
-        if not any(is_predicted(merit) or is_scored_by_draw(merit) for merit in self.study.merits):
+        if not any(is_predicted(merit) for merit in self.study.merits):
             return None
         check_against(self.study, drawn, self.source)
         own = predict_study(designed, self.study)
@@ -364,7 +368,7 @@ def _written(
 
 def _notes(search: _Search, study: Study) -> list[str]:
     """Return notes on the derived values."""
-    known = [merit.label for merit in study.merits if is_predicted(merit)]
+    known = [merit.label for merit in study.merits if is_scored_at_once(merit)]
     lost = "yield" if len(known) == len(study.merits) else f"the lenses within {', '.join(known)}"
     notes = []
     if search.shared:

@@ -27,7 +27,6 @@ from tolerancing.cost.pricing import cost_of
 from tolerancing.cost.table import CostTable, load_costs
 from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.prediction.drawing_yield import DrawingYieldPredictor
-from tolerancing.prediction.drawn_scores import is_scored_by_draw
 from tolerancing.prediction.goals.compensated import CompensatedWaves, WavefrontLoads
 from tolerancing.prediction.goals.design import DesignPoint, Scatter, bent, sized
 from tolerancing.prediction.goals.joint_yield import DrawnLoads, failing_fraction
@@ -36,7 +35,7 @@ from tolerancing.prediction.goals.ray_loads import FollowedRays, RayLoads, judge
 from tolerancing.prediction.goals.reconstruction_loss import SearchedLosses
 from tolerancing.prediction.goals.trials import predicted_of, trials_of
 from tolerancing.prediction.ray_prediction import predicted_merits
-from tolerancing.prediction.study_prediction import is_predicted
+from tolerancing.prediction.study_prediction import is_predicted, is_scored_at_once
 from tolerancing.prediction.wavefront_prediction import WavefrontLimit, wavefront_points
 from tolerancing.study.evaluate import compensated_points, prepare_merits
 from tolerancing.study.files import check_against, load_study, study_by_name
@@ -122,7 +121,7 @@ class StudyAsBuilt:
     @cached_property
     def trials_only(self) -> tuple[str, ...]:
         """Names of the merits that a search does not know."""
-        return tuple(m.label for m in self.study.merits if not is_predicted(m))
+        return tuple(m.label for m in self.study.merits if not is_scored_at_once(m))
 
     @property
     def loss_merits(self) -> tuple[str, ...]:
@@ -222,7 +221,7 @@ class StudyAsBuilt:
         ------
         DesignError
         """
-        missing = [m.label for m in self.study.merits if not (is_predicted(m) or is_scored_by_draw(m))]
+        missing = [m.label for m in self.study.merits if not is_predicted(m)]
         if missing:
             raise DesignError(
                 f"{self.source}: its yield cannot be explored, since {', '.join(missing)} can be scored by "
@@ -301,7 +300,7 @@ class StudyAsBuilt:
 
     def predict(self, lens: Lens) -> AsBuiltPrediction:
         """Predict a finished lens as the command `tolerancing predict` does."""
-        if not any(is_predicted(merit) or is_scored_by_draw(merit) for merit in self.study.merits):
+        if not any(is_predicted(merit) for merit in self.study.merits):
             return AsBuiltPrediction((), math.nan, {}, math.nan)
         lens = self._fitting(lens)
         return predicted_of(lens, self._toleranced(self.study, lens))

@@ -166,7 +166,7 @@ class StudyPrediction:
 
         It is no yield if the study has other limits.
         """
-        own = [limit.passed for limit in self.limits if is_predicted(limit.merit)]
+        own = [limit.passed for limit in self.limits if is_scored_at_once(limit.merit)]
         return float(np.mean(np.all(own, axis=0))) if own else math.nan
 
     @cached_property
@@ -188,9 +188,14 @@ class StudyPrediction:
         )
 
 
-def is_predicted(merit: Merit) -> bool:
+def is_scored_at_once(merit: Merit) -> bool:
     """Return whether all drawn lenses are scored at once, from derivatives of wavefronts or rays."""
     return is_predicted_wavefront(merit) or is_predicted_ray_merit(merit)
+
+
+def is_predicted(merit: Merit) -> bool:
+    """Return whether drawn lenses are scored without trials, at once or draw by draw."""
+    return is_scored_at_once(merit) or is_scored_by_draw(merit)
 
 
 def predict_study(
@@ -231,7 +236,7 @@ def predict_study(
     by_draw: list[Merit] = []
     if not quick:
         study = with_decided_levels(lens, study)
-        by_draw = [m for m in study.merits if is_scored_by_draw(m) and not is_predicted(m)]
+        by_draw = [m for m in study.merits if is_scored_by_draw(m) and not is_scored_at_once(m)]
     waves, found = None, dict[str, LimitPrediction]()
     # Tolerances that are too large give numbers that are not finite, which raise an error below.
     with np.errstate(all="ignore"):

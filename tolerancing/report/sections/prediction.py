@@ -14,7 +14,7 @@ from lensdesign.common.tables import read_number, read_table
 from lensdesign.common.text import quantity_label
 from lensdesign.errors import InputError
 from lensdesign.plots.style import BLUE, GREY, RED, styled_figure
-from tolerancing.prediction.study_prediction import is_predicted
+from tolerancing.prediction.study_prediction import is_scored_at_once
 from tolerancing.report.blocks import (
     Block,
     FigureBlock,
@@ -201,7 +201,7 @@ def _loosened(data: ReportData, found: StudyPrediction) -> list[Block]:
     """
     from tolerancing.budgets.loosening import loosen_each
 
-    if found.joint is None or not all(is_predicted(merit) for merit in data.study.merits):
+    if found.joint is None or not all(is_scored_at_once(merit) for merit in data.study.merits):
         return []
     loosened = sorted(loosen_each(data.lens, data.study), key=lambda one: one.doubled - one.halved)
     rows = [[one.perturbation, percent_text(one.halved), percent_text(one.doubled)] for one in loosened]
