@@ -16,6 +16,9 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from tolerancing.prediction.study_prediction import PredictedYield
+    from tolerancing.statistics.yields import Yield
+
 LONGEST_CELL = 600
 """Most characters in a table's cell; the store holds the full text."""
 
@@ -218,6 +221,11 @@ def percent_text(fraction: float | None) -> str:
 def span_text(low: float, high: float) -> str:
     """Format an interval of fractions in per cent."""
     return f"{percent_text(low)} – {percent_text(high)}"
+
+
+def yield_text(found: Yield | PredictedYield | None) -> str:
+    """Format a yield with its interval; a dash if there is none."""
+    return "–" if found is None else f"{percent_text(found.fraction)} ({span_text(found.low, found.high)})"
 
 
 def joined(items: Sequence[str]) -> str:

@@ -14,7 +14,6 @@ from lensdesign.common.tables import read_number, read_table
 from lensdesign.common.text import quantity_label
 from lensdesign.errors import InputError
 from lensdesign.plots.style import BLUE, GREY, RED, styled_figure
-from tolerancing.prediction.study_prediction import is_scored_at_once
 from tolerancing.report.blocks import (
     Block,
     FigureBlock,
@@ -25,15 +24,15 @@ from tolerancing.report.blocks import (
     number_text,
     percent_text,
     table,
+    yield_text,
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.style import chart_style
 from tolerancing.statistics.summary import Summary
 
 if TYPE_CHECKING:
-    from tolerancing.prediction.study_prediction import PredictedYield, StudyPrediction
+    from tolerancing.prediction.study_prediction import StudyPrediction
     from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
-    from tolerancing.statistics.yields import Yield
 
 
 @dataclass(frozen=True)
@@ -165,13 +164,13 @@ def _predicted_yield(data: ReportData, found: StudyPrediction) -> list[Block]:
             merit.limit_text,
             merit.location,
             predicted.get(merit.label, "not predicted"),
-            _trials_text(good[merit.label]),
+            yield_text(good[merit.label]),
         ]
         for merit in data.study.merits
     ]
     joint = found.joint
-    together = "not predicted" if joint is None else _interval_text(joint)
-    rows.append(["all limits", "", "", together, _trials_text(data.summary.good)])
+    together = "not predicted" if joint is None else yield_text(joint)
+    rows.append(["all limits", "", "", together, yield_text(data.summary.good)])
     if joint is None:
         text = f"The yield is not predicted without trials: {found.reason}."
     else:
@@ -184,22 +183,13 @@ def _predicted_yield(data: ReportData, found: StudyPrediction) -> list[Block]:
     return [Paragraph(text), table(headings, rows, caption)]
 
 
-def _interval_text(found: Yield | PredictedYield) -> str:
-    """Return a yield with its interval."""
-    low, high = f"{100.0 * found.low:.1f}", percent_text(found.high)
-    return f"{percent_text(found.fraction)} ({low} to {high})"
-
-
-def _trials_text(found: Yield | None) -> str:
-    return "–" if found is None else _interval_text(found)
-
-
 def _loosened(data: ReportData, found: StudyPrediction) -> list[Block]:
     """Return the yield with each tolerance halved and doubled, the most effective first.
 
     The first-order model of the table knows limits on wavefronts and rays only.
     """
     from tolerancing.budgets.loosening import loosen_each
+    from tolerancing.prediction.study_prediction import is_scored_at_once
 
     if found.joint is None or not all(is_scored_at_once(merit) for merit in data.study.merits):
         return []

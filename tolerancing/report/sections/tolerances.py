@@ -20,8 +20,8 @@ from tolerancing.report.blocks import (
     number_text,
     percent_text,
     signed_text,
-    span_text,
     table,
+    yield_text,
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.trials import bars_panel
@@ -205,20 +205,18 @@ def _root_sum_square(data: ReportData, found: Sensitivity) -> list[Block]:
     predicted = root_sum_square(found, data.study.merits)
     own = replicates(data.study.draws, data.results.trials)
     compared = compare_with_trials(predicted, data.results.scores, own)
-    rows = []
-    for c in compared:
-        good = c.good
-        rows.append(
-            [
-                c.merit.column,
-                number_text(c.predicted_mean),
-                f"{number_text(c.mean)} ± {number_text(c.standard_error, 2)}",
-                number_text(c.predicted_standard_deviation),
-                number_text(c.standard_deviation),
-                percent_text(c.predicted_yield),
-                f"{percent_text(good.fraction)} ({span_text(good.low, good.high)})" if good else "–",
-            ]
-        )
+    rows = [
+        [
+            c.merit.column,
+            number_text(c.predicted_mean),
+            f"{number_text(c.mean)} ± {number_text(c.standard_error, 2)}",
+            number_text(c.predicted_standard_deviation),
+            number_text(c.standard_deviation),
+            percent_text(c.predicted_yield),
+            yield_text(c.good),
+        ]
+        for c in compared
+    ]
     headings = [
         "<Merit", "Mean: predicted", "trials", "Std.: predicted", "trials", "Yield: predicted", "trials"
     ]  # fmt: skip

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from tolerancing.merits.base import Merit
+from tolerancing.merits.base import Merit, all_passed
 from tolerancing.perturbations.draws import replicates
 from tolerancing.report.blocks import (
     Block,
@@ -23,6 +23,7 @@ from tolerancing.report.blocks import (
     number_text,
     percent_text,
     table,
+    yield_text,
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.style import merit_label
@@ -112,8 +113,7 @@ def scale_section(data: ReportData) -> list[Block]:
     text = []
     if models:
         qualities = [
-            f"{name} {model.cross_validated_r_squared[0]:.2f}"
-            for name, model in ((names[label], model) for label, model in models.items())
+            f"{names[label]} {model.cross_validated_r_squared[0]:.2f}" for label, model in models.items()
         ]
         text.append(
             "Full lines: a second-order model of the trials predicts the scores of the same lenses with all "
@@ -133,7 +133,7 @@ def scale_section(data: ReportData) -> list[Block]:
     text.append("Points: yields of trials, with their 95 % intervals.")
     factors = [factor for factor, _ in points[ALL_LIMITS]]
     rows = [
-        [curve.name, *(_yield_text(dict(curve.points).get(factor)) for factor in factors)] for curve in curves
+        [curve.name, *(yield_text(dict(curve.points).get(factor)) for factor in factors)] for curve in curves
     ]
     headings = ["<Limit", *(f"{factor:g} × tolerances" for factor in factors)]
     return [
@@ -142,12 +142,6 @@ def scale_section(data: ReportData) -> list[Block]:
         FigureBlock((scale_panel(SCALES, shown),)),
         table(headings, rows, "Yields of trials with all tolerances multiplied."),
     ]
-
-
-def _yield_text(found: Yield | None) -> str:
-    if found is None:
-        return "–"
-    return f"{percent_text(found.fraction)} ({100.0 * found.low:.1f} to {percent_text(found.high)})"
 
 
 def _yields_by_factor(data: ReportData) -> dict[str, tuple[tuple[float, Yield], ...]]:
@@ -163,7 +157,7 @@ def _yields_by_factor(data: ReportData) -> dict[str, tuple[tuple[float, Yield], 
         scores = np.array([[step.scores.get(m.label, np.nan) for m in merits] for step in own])
         trials = [int(step.coordinates["trial"]) for step in own]
         passed = {m.label: m.passed(scores[:, k]) for k, m in enumerate(merits)}
-        passed[ALL_LIMITS] = np.all(list(passed.values()), axis=0)
+        passed[ALL_LIMITS] = all_passed(merits, scores)
         for name, good in passed.items():
             value = yield_of(good, replicates(data.study.draws, trials))
             assert value is not None  # there are trials
@@ -178,8 +172,6 @@ def _yields_by_factor(data: ReportData) -> dict[str, tuple[tuple[float, Yield], 
 
 def _modelled(data: ReportData, models: dict[str, Response]) -> dict[str, Array]:
     """Return the yield by the models at each of `SCALES`, by label, and of all limits if all have one."""
-    if not models:
-        return {}
     sampled = _sample(len(data.results))
     values, scores = data.results.values[sampled], data.results.scores[sampled]
     centre = np.array([p.distribution.centre for p in data.study.perturbations])
@@ -210,8 +202,6 @@ def _models(data: ReportData) -> tuple[dict[str, Response], list[str]]:
     # What a model leaves grows with a power of the factor that is not known, so it must be small.
     smallest_r_squared = 0.95
     chosen = _sample(len(data.results))
-    if not len(data.results):
-        return models, unmodelled
     for k, merit in enumerate(data.study.merits):
         try:
             model = fit_response(data.results.values[chosen], data.results.scores[chosen, k : k + 1])
