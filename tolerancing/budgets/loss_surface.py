@@ -3,9 +3,10 @@
 The predicted loss of a lens (:mod:`tolerancing.prediction.reconstruction_loss`) takes some 20 ms, and an
 allocation needs it for thousands of lenses at each of some hundred points. The loss is a function of the
 change of path on each meridian, which is linear in the deviations. Of these changes only a few combinations
-matter: those along which the loss has slopes (an active subspace, Constantine 2015). On each meridian, the
-square of the noise that the loss stands for, 1 / r^2 - 1 for a mean correlation r, is fitted as a quadratic
-function of these combinations to lenses whose losses are predicted.
+matter: those along which the loss has slopes (an active subspace, Constantine 2015). On each meridian, a
+quadratic function of these combinations is fitted to lenses whose losses are predicted. It describes
+1 / r^2 - 1 for a mean correlation r: the power of the errors of a reconstruction, relative to that of its
+object, if they are uncorrelated with the object.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.reconstruction_loss import ReconstructionLoss
-from tolerancing.prediction.reconstruction_loss import LossPaths, loss_model, loss_paths
+from tolerancing.prediction.reconstruction_loss import (
+    LossPaths,
+    calibration_equations,
+    loss_model,
+    loss_paths,
+)
 from tolerancing.study.study import Study
 from wavesim.pupil.batched_reconstruction import BatchedReconstruction
 
@@ -116,9 +122,7 @@ def _followed(paths: LossPaths, points: tuple[tuple[BatchedReconstruction, ...],
         return paths.lens
     found = np.array(paths.lens)
     for k, reconstructions in enumerate(points):
-        visible = [one.visible for one in reconstructions]
-        matrix = sum(m.T @ v @ m for v, m in zip(visible, paths.model[k], strict=True))
-        across = sum(m.T @ v @ own for v, own, m in zip(visible, paths.lens[k], paths.model[k], strict=True))
+        matrix, across = calibration_equations(reconstructions, paths.lens[k], paths.model[k])
         found[k] -= paths.model[k] @ (np.linalg.pinv(matrix, rcond=1e-9, hermitian=True) @ across)
     return found
 

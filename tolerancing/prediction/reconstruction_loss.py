@@ -208,6 +208,30 @@ def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss) -> float:
     return float(np.mean(expected_losses(lens, study, merit, drawn_amounts(study, DRAWS))))
 
 
+def calibration_equations(
+    reconstructions: Sequence[BatchedReconstruction], lens: Array, model: Array
+) -> tuple[Array, Array]:
+    """Return the normal equations of compensators that follow the visible path changes of an object point.
+
+    Parameters
+    ----------
+    reconstructions
+        Reconstruction on each meridian.
+    lens, model
+        Path changes of the point by the changes of the lens and by the compensators (:class:`LossPaths`).
+
+    Returns
+    -------
+    matrix : ndarray, shape (k, k)
+    right_sides : ndarray, shape (k, d)
+        Right side for a unit of each change of the lens.
+    """
+    visible = [one.visible for one in reconstructions]
+    matrix = sum(m.T @ v @ m for v, m in zip(visible, model, strict=True))
+    right_sides = sum(m.T @ v @ own for v, own, m in zip(visible, lens, model, strict=True))
+    return np.asarray(matrix), np.asarray(right_sides)
+
+
 def _coarser(reconstruction: LinearisedReconstruction, pixels_per_sample: float) -> LinearisedReconstruction:
     """Return the reconstruction with fewer fans and fewer pixels, which receive the same total light."""
     # Nominal rays are traced from nine object points.
@@ -223,11 +247,8 @@ def _calibrated(
     reconstructions: Sequence[BatchedReconstruction], lens: Array, model: Array, amounts: Array
 ) -> Array:
     """Return the fitted compensators of each lens as fractions of their limits, shape (lenses, k)."""
-    visible = [one.visible for one in reconstructions]
-    matrix = sum(m.T @ v @ m for v, m in zip(visible, model, strict=True))
-    across = sum(m.T @ v @ own for v, own, m in zip(visible, lens, model, strict=True))
-    right_side = amounts @ across.T
-    return bounded_least_squares(regularised(np.asarray(matrix)), right_side)[0]
+    matrix, across = calibration_equations(reconstructions, lens, model)
+    return bounded_least_squares(regularised(matrix), amounts @ across.T)[0]
 
 
 @dataclass(frozen=True, eq=False)
