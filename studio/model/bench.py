@@ -271,8 +271,7 @@ class Workbench:
         if self._is_idle(number):
             for stage, names in STAGES:
                 self._publish(stage(request, settled=True), names, number)
-                if self._requested != number:
-                    return
+                self._check_current(number)
 
     def _check_current(self, number: int) -> None:
         """End the analysis of a state that has changed since."""
