@@ -29,7 +29,7 @@ SCALES = (0.1, 4.0)
 """Range of the scales of tolerances."""
 
 MOST_ROUNDS, MODEL_ROUNDS = 8, 2
-"""Largest number of rounds, and number of rounds that rely on a response surface if there is one."""
+"""Largest number of rounds, and number of first rounds that rely even on an inaccurate response surface."""
 
 Progress = Callable[[int, int], None]
 """Progress callback: `progress(completed, most)`, in trials of the lens."""
@@ -312,7 +312,10 @@ class _Rounds:
         return float(np.mean(self.differences(model))) if self.verifications else 0.0
 
     def differences(self, model: StudyScoreModel) -> Array:
-        """Return for each trial of rounds like the last one: is it good, minus is it good by the model."""
+        """Return 1 for trials that only the lens passes, -1 for those that only the model passes, else 0.
+
+        The trials are those of the rounds whose tolerances are like those of the last one.
+        """
         last, alike = self.verifications[-1], 1.25
         rounds = [
             one
@@ -322,7 +325,7 @@ class _Rounds:
         return np.concatenate([one.passed.astype(float) - self.modelled(model, one) for one in rounds])
 
     def is_inaccurate(self, model: StudyScoreModel) -> bool:
-        """Return whether a response surface errs about too many trials of the last rounds."""
+        """Return whether the model has a response surface and is wrong for too many of the last trials."""
         most_errors = 0.1
         return bool(model.not_predicted) and float(np.mean(np.abs(self.differences(model)))) > most_errors
 

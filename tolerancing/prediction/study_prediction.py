@@ -265,7 +265,7 @@ def predict_study(
 def _wavefront_limits(
     lens: Lens, study: Study, waves: WavefrontPrediction, batch: PerturbationBatch, checked: bool
 ) -> dict[str, LimitPrediction]:
-    """Return the limits on wavefronts; the root mean square stands for a Strehl ratio."""
+    """Return the limits on wavefronts by label; Strehl ratios are exp(-(2 pi rms)^2), as Maréchal has it."""
     columns, found = iter(range(len(waves.points))), dict[str, LimitPrediction]()
     for merit in study.merits:
         if not is_predicted_wavefront(merit):
