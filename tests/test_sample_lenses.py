@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from sample_lenses import SAMPLES, Sample
+from supplements import SUPPLEMENT
 
 from lensdesign import Lens, Pose
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.files.codev import read_seq, write_seq
-from lensdesign.files.draft import Imported, LossyImportError, Supplement
+from lensdesign.files.draft import Imported, LossyImportError
 from lensdesign.files.zemax import read_zmx, write_zmx
 
-SUPPLEMENT = Supplement(
-    working_distance_mm=500.0,
-    field_diameter_mm=1.0,
-    numerical_aperture=0.005,
-    pixel_pitch_um=3.2,
-    pixels=(1000, 800),
-)
+FAR = replace(SUPPLEMENT, working_distance_mm=500.0, numerical_aperture=0.005)
 READERS = {".zmx": read_zmx, ".seq": read_seq}
 CASES = [(name, encoding) for name, sample in SAMPLES.items() for encoding in sample.encodings]
 
@@ -27,7 +23,7 @@ CASES = [(name, encoding) for name, sample in SAMPLES.items() for encoding in sa
 def imported(folder: Path, sample: Sample, encoding: str, lossy: bool = False) -> Imported:
     path = folder / f"lens{sample.suffix}"
     path.write_bytes(sample.text.replace("\n", "\r\n").encode(encoding))
-    return READERS[sample.suffix](path, SUPPLEMENT, lossy)
+    return READERS[sample.suffix](path, FAR, lossy)
 
 
 @pytest.mark.parametrize(("name", "encoding"), CASES)

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from places import GOLDEN
+from supplements import SENSOR
 
 from lensdesign import InputError, load_design, save_design
-from lensdesign.files.draft import LossyImportError, Supplement
+from lensdesign.files.draft import LossyImportError
 from lensdesign.files.zemax import read_zmx
 
 IMPORTS = GOLDEN / "imports"
-SENSOR = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000))
 TOUCHING = (IMPORTS / "touch_at_vertex.zmx").read_text()
 CROSSING = (IMPORTS / "rim_contact.zmx").read_text()
 

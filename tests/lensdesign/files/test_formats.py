@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import GOLDEN
 from random_lenses import lenses, poses
+from supplements import SUPPLEMENT
 
 from lensdesign import InputError, Lens, MaterialError, Pose, files
 from lensdesign.files.draft import LossyImportError, Supplement
@@ -142,13 +143,6 @@ def test_stated_wavelengths_replace_those_of_the_file(suffix: str, tmp_path: Pat
         read_lens_file(path, Supplement(wavelengths_um=(0.0,)))
 
 
-SUPPLEMENT = Supplement(
-    working_distance_mm=100.0,
-    field_diameter_mm=1.0,
-    numerical_aperture=0.02,
-    pixel_pitch_um=3.2,
-    pixels=(1000, 800),
-)
 IMPORTS = GOLDEN / "imports"
 LONG = {
     ".len": ("pk_ap.len", "GLA N-BK7\n", "N-BK7"),

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 from places import GOLDEN
+from supplements import SENSOR
 
-from lensdesign.files.draft import LossyImportError, Supplement
+from lensdesign.files.draft import LossyImportError
 from lensdesign.files.index_records import IndexRecord, index_difference
 from lensdesign.files.zemax import read_zmx
 from lensdesign.lens.glass import get_material
 
 IMPORTS = GOLDEN / "imports"
-SENSOR = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000))
 
 
 def edited(tmp_path: Path, name: str, *changes: tuple[str, str]) -> Path:

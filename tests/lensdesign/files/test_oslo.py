@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from places import GOLDEN
 from random_lenses import lenses
+from supplements import SENSOR
 
 from lensdesign import InputError, Lens, MaterialError, Pose
 from lensdesign.analysis.paraxial import first_order
@@ -93,7 +94,6 @@ WV 0.6328
 WW 1.0
 END  5
 """
-SENSOR = Supplement(pixel_pitch_um=3.2, pixels=(1000, 800))
 FAR = Supplement(working_distance_mm=500.0, field_diameter_mm=1.0, pixel_pitch_um=3.2, pixels=(1000, 800))
 
 

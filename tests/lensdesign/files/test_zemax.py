@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from places import GOLDEN
+from supplements import SENSOR, SUPPLEMENT
 
 from lensdesign import CoverGlass, InputError, Lens, MaterialError, Pose, Surface
 from lensdesign.analysis.check import check_design
@@ -36,13 +37,6 @@ XFLN 0
 YFLN 0
 FWGN 1
 """
-SUPPLEMENT = Supplement(
-    working_distance_mm=100.0,
-    field_diameter_mm=1.0,
-    numerical_aperture=0.02,
-    pixel_pitch_um=3.2,
-    pixels=(1000, 800),
-)
 
 
 def zmx_text(
@@ -475,7 +469,6 @@ def test_more_asphere_terms_than_the_format_holds_are_not_written(tmp_path: Path
 
 
 IMPORTS = GOLDEN / "imports"
-SENSOR = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000))
 SINGLET = (IMPORTS / "aperture_smaller_than_stop.zmx").read_text()
 RECORD = "N-BK7 0 0 1.5168 64.17"
 
