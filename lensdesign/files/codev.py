@@ -246,10 +246,10 @@ def _material(
     code = coded_glass(token, surface.glass_location)
     if code is not None:
         if code.is_exact_at(reader.draft.wavelengths_um):
-            reader.draft.add_remark(f"{surface.name}: index {code.index:g} of the model glass {token}")
+            reader.draft.add_remark(f"{surface.name}: index {code.nd:g} of the model glass {token}")
         else:
             reader.draft.add_loss(f"{surface.name}: dispersion of the model glass {token}")
-        return code.index
+        return code.nd
     if isinstance(stored, str) and normalized_name(stored.rpartition(":")[2]) == normalized_name(name):
         return stored
     makers = [maker] if maker else []

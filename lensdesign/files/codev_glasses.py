@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 from lensdesign.errors import InputError
 from lensdesign.files.draft import parse_number, quoted
-from lensdesign.files.index_records import is_d_line
-from lensdesign.files.index_tables import tabulated_index
+from lensdesign.files.index_records import IndexRecord
+from lensdesign.files.index_tables import LARGEST_INDEX, tabulated_index
 from lensdesign.lens.catalogues.thermal import LOWEST_INDEX
 
 Formula = Callable[[Sequence[float], float], float]
@@ -53,20 +53,10 @@ FORMULAS: dict[str, tuple[str, int, Formula]] = {
 """Dispersion formulas by keyword: name, maximum number of coefficients, n(coefficients, wavelength_um)."""
 
 
-@dataclass(frozen=True)
-class CodedGlass:
-    """Index of a glass code at the d line, and its Abbe number (0: no dispersion)."""
+def coded_glass(token: str, location: str) -> IndexRecord | None:
+    """Return what a glass code states (517642, 516800.641700 or 1.5168:64.17); None for the name of a glass.
 
-    index: float
-    abbe: float
-
-    def is_exact_at(self, wavelengths_um: Sequence[float]) -> bool:
-        """Return whether the index is that of the glass at all of the wavelengths."""
-        return not self.abbe or is_d_line(wavelengths_um)
-
-
-def coded_glass(token: str, location: str) -> CodedGlass | None:
-    """Return the glass of a code (517642, 516800.641700 or 1.5168:64.17); None for the name of a glass.
+    An Abbe number of 0 states no dispersion.
 
     Raises
     ------
@@ -87,13 +77,13 @@ def coded_glass(token: str, location: str) -> CodedGlass | None:
         )
     else:
         return None
-    largest_index, largest_abbe = 10.0, 150.0  # no transparent medium exceeds them
-    if not (1.0 <= index <= largest_index and 0.0 <= abbe <= largest_abbe):
+    largest_abbe = 150.0  # no transparent medium exceeds it
+    if not (1.0 <= index <= LARGEST_INDEX and 0.0 <= abbe <= largest_abbe):
         raise InputError(
             f"{location}: the glass {quoted(token)} has an index of {index:g} and an Abbe number of "
-            f"{abbe:g}; allowed are 1 to {largest_index:g} and 0 to {largest_abbe:g}"
+            f"{abbe:g}; allowed are 1 to {LARGEST_INDEX:g} and 0 to {largest_abbe:g}"
         )
-    return CodedGlass(index, abbe)
+    return IndexRecord(index, abbe or None)
 
 
 @dataclass(frozen=True)
@@ -170,12 +160,10 @@ class PrivateGlass:
             index = formula(coefficients, wavelength_um)
         except (ValueError, ZeroDivisionError, OverflowError):
             index = math.nan
-        # Largest accepted index. No transparent medium exceeds it; a formula does near its pole.
-        largest_index = 10.0
-        if not LOWEST_INDEX <= index <= largest_index:
+        if not LOWEST_INDEX <= index <= LARGEST_INDEX:  # a formula exceeds it near its pole
             raise InputError(
                 f"{self.location}: the {name} coefficients of private glass {quoted(self.name)} give an "
-                f"index of {index:g} at {wavelength_um:g} µm; allowed is {LOWEST_INDEX} to {largest_index:g}"
+                f"index of {index:g} at {wavelength_um:g} µm; allowed is {LOWEST_INDEX} to {LARGEST_INDEX:g}"
             )
         return index, f"index {index:.7g} at {wavelength_um:g} µm by the {name} formula of {self.name}", ""
 

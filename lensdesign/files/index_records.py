@@ -33,6 +33,11 @@ class IndexRecord:
     nd: float
     vd: float | None = None
 
+    def is_exact_at(self, wavelengths_um: Sequence[float]) -> bool:
+        """Return whether nd is the index at all wavelengths: without dispersion, or if all are the d line."""
+        same_line_um = 1e-4  # files give the same spectral line with different numbers of digits
+        return not self.vd or all(abs(w - LINE_D_UM) <= same_line_um for w in wavelengths_um)
+
     def index(self, material: str | float, wavelength_um: float, catalogs: Sequence[Path]) -> float | None:
         """Return the index of the record at a wavelength; None if the material's nd is not known.
 
@@ -62,12 +67,6 @@ class IndexRecord:
             return False
         at_d, at_e = (abs(found.index(w) - self.nd) for w in (LINE_D_UM, _LINE_E_UM))
         return at_e <= INDEX_NOTED < at_d
-
-
-def is_d_line(wavelengths_um: Sequence[float]) -> bool:
-    """Return whether all wavelengths are the d line, so that an index at this line needs no dispersion."""
-    same_line_um = 1e-4  # files give the same spectral line with different numbers of digits
-    return all(abs(w - LINE_D_UM) <= same_line_um for w in wavelengths_um)
 
 
 @dataclass(frozen=True)

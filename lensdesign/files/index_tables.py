@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+LARGEST_INDEX = 10.0
+"""Largest index that a lens file may state. No transparent medium exceeds it, and an Abbe number does."""
+
 
 def tabulated_index(
     name: str, wavelengths_nm: Sequence[float], indices: Sequence[float], wavelength_nm: float

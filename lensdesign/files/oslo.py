@@ -44,7 +44,7 @@ from lensdesign.files.draft import (
     quoted,
     read_lines,
 )
-from lensdesign.files.index_tables import tabulated_index
+from lensdesign.files.index_tables import LARGEST_INDEX, tabulated_index
 from lensdesign.files.oslo_surfaces import (
     PICKUPS,
     SOLVED_QUANTITIES,
@@ -644,13 +644,11 @@ def _tabulated(reader: FileReader, surface: FileSurface, name: str, values: Sequ
     location = surface.glass_location
     label = f"the model glass {name}" if name else f"the glass {quoted(' '.join(values))}"
     indices = [parse_number(v, location) for v in values]
-    # Largest accepted index. No transparent medium exceeds it, and an Abbe number does.
-    largest_index = 10.0
     for index in indices:
-        if not LOWEST_INDEX <= index <= largest_index:
+        if not LOWEST_INDEX <= index <= LARGEST_INDEX:
             raise InputError(
                 f"{location}: {label} has an index of {index:g}; allowed is {LOWEST_INDEX} to "
-                f"{largest_index:g}, one for each wavelength"
+                f"{LARGEST_INDEX:g}, one for each wavelength"
             )
     if len(set(indices)) == 1:
         return indices[0]

@@ -58,7 +58,7 @@ from lensdesign.files.draft import (
     read_vignetting,
     written_surfaces,
 )
-from lensdesign.files.index_records import IndexRecord, is_d_line
+from lensdesign.files.index_records import IndexRecord
 from lensdesign.files.zemax_configurations import SOLVES, text_of_configuration
 from lensdesign.lens.glass import get_material, glass_summary, is_gap, list_glasses
 from lensdesign.lens.lens import Lens
@@ -418,7 +418,7 @@ def _material(
 def _lose_dispersion(reader: FileReader, surface_name: str, record: IndexRecord, glass: str) -> None:
     """Add a loss if the index of a glass without a name is not that at all wavelengths of the design."""
     wavelengths_um = reader.draft.wavelengths_um
-    if not record.vd or is_d_line(wavelengths_um):
+    if record.is_exact_at(wavelengths_um):
         return
     w = wavelengths_um[0]
     reader.draft.add_loss(

@@ -13,14 +13,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import GOLDEN
+from supplements import SENSOR, SUPPLEMENT
 
 from lensdesign import InputError, Lens, MaterialError, Pose, scaled
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.files import codev
 from lensdesign.files.codev import read_seq, write_seq
-from lensdesign.files.codev_glasses import CodedGlass, coded_glass
+from lensdesign.files.codev_glasses import coded_glass
 from lensdesign.files.draft import LossyImportError, Supplement
+from lensdesign.files.index_records import IndexRecord
 
 # The textbook Cooke triplet of 50 mm focal length, f/5, as CODE V would save it.
 COOKE = """RDM;LEN       "VERSION: 10.7       LENS VERSION: 80       Creation Date:  8-Sep-2020"
@@ -66,14 +68,6 @@ S 10.462 12.0 'NBK7_SCHOTT'
 S 0 20
 SI 0 0
 """
-SUPPLEMENT = Supplement(
-    working_distance_mm=100.0,
-    field_diameter_mm=1.0,
-    numerical_aperture=0.02,
-    pixel_pitch_um=3.2,
-    pixels=(1000, 800),
-)
-SENSOR = Supplement(pixel_pitch_um=3.2, pixels=(1000, 800))
 
 
 def saved(tmp_path: Path, text: str) -> Path:
@@ -655,9 +649,9 @@ def test_a_misread_glass_code_is_noticed(tmp_path: Path, monkeypatch: pytest.Mon
     supplement = Supplement(pixel_pitch_um=3.2, pixels=(100, 100))
     assert read_seq(path, supplement).lens.surfaces[0].material == pytest.approx(1.5168, abs=3e-4)
 
-    def misread(token: str, location: str) -> CodedGlass | None:
+    def misread(token: str, location: str) -> IndexRecord | None:
         found = coded_glass(token, location)
-        return None if found is None else CodedGlass(1.1, found.abbe)
+        return None if found is None else IndexRecord(1.1, found.vd)
 
     monkeypatch.setattr(codev, "coded_glass", misread)
     with pytest.raises(InputError, match=r"index of 1\.1 was read .* 1\.51"):
