@@ -49,10 +49,13 @@ def find_vendor_files(folder: Path) -> tuple[list[Path], list[tuple[str, str]]]:
         except OSError as error:
             name = Path(parent).relative_to(folder).as_posix()
             faults.append((printable_name(name), f"cannot read the folder: {error.strerror}"))
-    named = {path: path.relative_to(folder).as_posix() for path in found}
-    readable = [path for path in found if printable_name(named[path]) == named[path]]
-    unreadable = (printable_name(named[path]) for path in found if path not in set(readable))
-    faults += [(name, "its name is not UTF-8; rename the file or its folder") for name in unreadable]
+    readable = []
+    for path in found:
+        name = path.relative_to(folder).as_posix()
+        if printable_name(name) == name:
+            readable.append(path)
+        else:
+            faults.append((printable_name(name), "its name is not UTF-8; rename the file or its folder"))
     return sorted(readable), sorted(faults)
 
 
