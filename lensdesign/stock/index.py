@@ -11,6 +11,7 @@ has changed, is ignored, so that the vendor's file is read again.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import hmac
 import json
@@ -208,21 +209,15 @@ def _default_path(folder: Path) -> Path:
 
 def _user_key() -> bytes:
     """Return the key of the user's indices, which is created in the cache folder at the first time."""
-    path = user_cache_folder() / "stock" / "key"
-    for _ in range(2):
-        try:
-            return path.read_bytes() or secrets.token_bytes(KEY_BYTES)
-        except OSError:
-            try:
-                path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-                handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-                with open(handle, "wb") as file:
-                    file.write(secrets.token_bytes(KEY_BYTES))
-            except FileExistsError:  # another process has just created it
-                continue
-            except OSError:
-                break
-    return secrets.token_bytes(KEY_BYTES)  # without a cache folder, the next run reads all files again
+    path, new = user_cache_folder() / "stock" / "key", secrets.token_bytes(KEY_BYTES)
+    with contextlib.suppress(OSError):  # it exists, or there is no cache folder
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(new)
+    try:
+        return path.read_bytes() or new
+    except OSError:  # without a cache folder, the next run reads all files again
+        return new
 
 
 def _known_files(path: Path, header: dict[str, Any], key: bytes) -> dict[str, IndexedFile]:
@@ -262,7 +257,7 @@ def _code(row: dict[str, Any], key: bytes) -> str:
 
 
 def _file_line(file: IndexedFile, key: bytes) -> str:
-    row = json.loads(json.dumps(asdict(file)))
+    row = asdict(file)
     return _line(row | {"code": _code(row, key)})
 
 
