@@ -83,8 +83,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
             f"glass catalogues {quoted(str(stored))}: files that a lens file names are not opened; "
             "give them together with the file"
         )
-    if draft.dropped and not lossy:
-        raise LossyImportError(source, tuple(draft.dropped))
+    _refuse_losses(draft, lossy)
     catalogs = supplement.glass_catalogs
     distance = _first_given(
         supplement.working_distance_mm, working_distance if working_distance < math.inf else None
@@ -112,8 +111,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     stop_mm = rows[1 + _stop(rows)].semi_diameter_mm
     rows = _without_crossings(rows, draft, values, catalogs)
     filled = filled and rows[1 + _stop(rows)].semi_diameter_mm == stop_mm  # a crossing may clip the stop
-    if draft.dropped and not lossy:
-        raise LossyImportError(source, list(draft.dropped))
+    _refuse_losses(draft, lossy)
     surfaces = _surfaces(rows, draft)
     optional = ("cover_glass", "reflectance")
     missing = [name for name, value in values.items() if value is None and name not in optional]
@@ -136,9 +134,14 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     first_order = check_first_order(draft, lens, pose, supplement, filled)
     if loss := compare_recorded_indices(draft, first_order, catalogs):
         draft.add_loss(loss)
-        if not lossy:
-            raise LossyImportError(source, tuple(draft.dropped))
+    _refuse_losses(draft, lossy)
     return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks), first_order, stated)
+
+
+def _refuse_losses(draft: Draft, lossy: bool) -> None:
+    """Raise a LossyImportError if the draft has losses so far, unless they are accepted."""
+    if draft.dropped and not lossy:
+        raise LossyImportError(draft.source, tuple(draft.dropped))
 
 
 def _without_crossings(
@@ -150,7 +153,7 @@ def _without_crossings(
     if system is None or not _is_number(distance, 0.0, math.inf):
         return rows
     half_field = 0.5 * field if _is_number(field, 0.0, math.inf) else 0.0
-    return without_crossings(rows, draft, system, distance, half_field, _stop(rows))
+    return without_crossings(rows, draft, system, distance, half_field)
 
 
 def _first_given(*values: Any) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 from lensdesign.errors import InputError
 from lensdesign.files.draft import Draft, SurfaceRow
 from lensdesign.files.marginal_ray import MeridionalSystem
-from lensdesign.lens.shapes.base import Shape, directions
+from lensdesign.lens.shapes.base import Shape, axial_gaps_mm
 
 CONTACT_GAP_MM = 1e-6
 """Distance of surfaces that touch at their vertices; its effect on light is below any tolerance."""
@@ -45,7 +45,6 @@ def without_crossings(
     system: MeridionalSystem,
     object_distance_mm: float,
     half_field_mm: float,
-    stop: int,
 ) -> list[SurfaceRow]:
     """Return the rows with clear semi-diameters within which consecutive surfaces do not cross.
 
@@ -61,8 +60,6 @@ def without_crossings(
         The surfaces between object and image for exact rays.
     object_distance_mm, half_field_mm
         Distance of the object from the first surface, and its radius.
-    stop
-        Index of the stop among the surfaces between object and image.
 
     Raises
     ------
@@ -80,7 +77,7 @@ def without_crossings(
     if not crossings:
         return list(rows)
     semi_mm = [row.semi_diameter_mm for row in rows[1:-1]]
-    beam = _beam_heights(system, object_distance_mm, half_field_mm, stop, semi_mm)
+    beam = _beam_heights(system, object_distance_mm, half_field_mm, semi_mm)
     result = list(rows)
     for i, height in crossings:
         row, behind = rows[i + 1], rows[i + 2]
@@ -113,33 +110,26 @@ def without_crossings(
     return result
 
 
-def _gaps(front: Shape, behind: Shape, distance_mm: float, heights: np.ndarray) -> np.ndarray:
-    """Return the least gap along the axis over all directions, at each height."""
-    x, y = (heights[:, None] * component for component in directions(front, behind))
-    gap: np.ndarray = distance_mm + np.min(behind.sag(x, y) - front.sag(x, y), axis=1)
-    return gap
-
-
 def _crossing_height(
     front: Shape, behind: Shape, distance_mm: float, semi_diameter_mm: float
 ) -> float | None:
     """Return the smallest height at which two surfaces cross within a semi-diameter; None if none."""
     heights = np.linspace(0.0, semi_diameter_mm, 257)  # as of the check of a lens
-    crossed = _gaps(front, behind, distance_mm, heights) <= 0.0
+    crossed = axial_gaps_mm(front, behind, distance_mm, heights) <= 0.0
     if not np.any(crossed):
         return None
     return float(heights[max(int(np.argmax(crossed)) - 1, 0)])
 
 
 def _smallest_gap(front: Shape, behind: Shape, distance_mm: float, semi_diameter_mm: float) -> float:
-    return float(np.nanmin(_gaps(front, behind, distance_mm, np.linspace(0.0, semi_diameter_mm, 257))))
+    heights = np.linspace(0.0, semi_diameter_mm, 257)
+    return float(np.nanmin(axial_gaps_mm(front, behind, distance_mm, heights)))
 
 
 def _beam_heights(
     system: MeridionalSystem,
     object_distance_mm: float,
     half_field_mm: float,
-    stop: int,
     semi_diameters_mm: Sequence[float | None],
 ) -> list[float]:
     """Return the largest height at each surface of meridional rays that pass all apertures.

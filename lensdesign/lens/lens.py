@@ -25,7 +25,7 @@ from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import is_air, refractive_index
 from lensdesign.lens.moulding import Moulding
 from lensdesign.lens.section_picture import section_svg
-from lensdesign.lens.shapes.base import directions
+from lensdesign.lens.shapes.base import axial_gaps_mm, directions
 from lensdesign.lens.solid import (
     glass_element,
     glass_elements,
@@ -240,8 +240,7 @@ class Lens(FrozenModel):
             if not heights:
                 continue
             r = np.linspace(0.0, min(heights), 257)
-            x, y = (r[:, None] * component for component in directions(front.shape, back.shape))
-            gap = (front.thickness_mm or 0.0) + np.min(back.shape.sag(x, y) - front.shape.sag(x, y), axis=1)
+            gap = axial_gaps_mm(front.shape, back.shape, front.thickness_mm or 0.0, r)
             if np.any(gap <= 0.0):
                 height = r[np.argmax(gap <= 0.0)]
                 raise ValueError(

@@ -23,7 +23,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.text import number_with_unit
 from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.shapes.base import directions
+from lensdesign.lens.shapes.base import axial_gaps_mm, directions
 from lensdesign.lens.temperature import lens_at_temperature, named_at
 from lensdesign.optimization.as_built import AsBuiltReport, TrialsOf, read_as_built
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
@@ -237,8 +237,8 @@ def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
                 ),
             ]
         else:
-            x, y = (clear * component for component in directions(front.shape, back.shape))
-            gap = min(axis, axis + float(np.min(back.shape.sag(x, y) - front.shape.sag(x, y))))
+            (at_edge,) = axial_gaps_mm(front.shape, back.shape, axis, np.array([clear])).tolist()
+            gap = min(axis, at_edge)
             rows.append(_at_least(f"air gap behind surface {i + 1}", gap, limits.min_air_gap_mm, "mm"))
     return rows
 

@@ -17,7 +17,7 @@ from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import get_material, is_gap
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.reversal import mirrored_keys, reversed_surfaces
-from lensdesign.lens.shapes.base import directions
+from lensdesign.lens.shapes.base import axial_gaps_mm
 from lensdesign.lens.shapes.intersection import intersect
 from lensdesign.lens.surface import Surface
 from lensdesign.optimization.specification.specification import Specification
@@ -135,9 +135,7 @@ class Arrangement:
             return 0.0, 0.0
         front, back = self.parts[0].surfaces[-1], self.parts[1].surfaces[0]
         widest = max(part.lens.semi_diameter_mm for part in self.parts)
-        x, y = directions(front.shape, back.shape)
-        r = np.linspace(0.0, widest, 65)[:, None]
-        narrowest = float(np.min(back.shape.sag(r * x, r * y) - front.shape.sag(r * x, r * y)))
+        narrowest = float(np.min(axial_gaps_mm(front.shape, back.shape, 0.0, np.linspace(0.0, widest, 65))))
         if math.isnan(narrowest):
             raise InputError("a surface ends within the edge of the other lens")
         least = max(LEAST_GAP_MM, specification.constraints.min_air_gap_mm - min(narrowest, 0.0))

@@ -366,6 +366,12 @@ def directions(*shapes: Shape) -> tuple[Array, Array]:
     return np.cos(angles), np.sin(angles)
 
 
+def axial_gaps_mm(front: Shape, back: Shape, distance_mm: float, heights_mm: Array) -> Array:
+    """Return the gap along the axis between two surfaces at each height, the least of all azimuths."""
+    x, y = (heights_mm[:, None] * component for component in directions(front, back))
+    return np.asarray(distance_mm + np.min(back.sag(x, y) - front.sag(x, y), axis=1))
+
+
 def parameter_of(term: str) -> str:
     """Return the name of a term in design files, which give radii in place of curvatures."""
     return term.replace("curvature", "radius") + "_mm" if term.startswith("curvature") else term
