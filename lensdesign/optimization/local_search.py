@@ -172,9 +172,9 @@ def _search_from(
             break
         rays = rays.with_rays(worse)
     dense = dense.with_rays(rays)
-    final = problem.evaluate(point, dense)
+    final = problem.evaluate(point, dense, final=only_feasible)
     if only_feasible or final.violation > ACCEPTED_VIOLATION:
-        final = constraints_alone(problem.evaluate(point, dense, final=only_feasible))
+        final = constraints_alone(final)
         objective, violation = 0.0, final.objective
     else:
         objective, violation = final.objective, final.violation
