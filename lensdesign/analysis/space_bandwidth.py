@@ -161,7 +161,8 @@ def match(lens: Lens, wavelength_um: float) -> Matching:
             f"{wavelength_um:g} µm give no space-bandwidth product (Eq. 1): one of these values is far too "
             "small"
         ) from None
-    sine = sensor_spread_sine(lens, wavelength_um)
+    index = lens.sensor_medium_index(wavelength_um)
+    sine = spread_limit_sine(wavelength_um, sensor.pixel_pitch_um, index)
     return Matching(
         wavelength_um=wavelength_um,
         sbp_object=required,
@@ -171,9 +172,6 @@ def match(lens: Lens, wavelength_um: float) -> Matching:
         highest_frequency_lp_per_mm=highest_frequency_lp_per_mm(sensor.pixel_pitch_um),
         resolution_um=wavelength_um / (2.0 * target.numerical_aperture),
         smallest_exit_beam_diameter_mm=smallest_exit_beam_diameter_mm(
-            target.field_diameter_mm,
-            target.numerical_aperture,
-            sine,
-            lens.sensor_medium_index(wavelength_um),
+            target.field_diameter_mm, target.numerical_aperture, sine, index
         ),
     )

@@ -14,6 +14,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
+from itertools import accumulate
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
@@ -235,16 +236,13 @@ def say(head: str, text: str, *, to_errors: bool = False) -> None:
 def fail(message: str) -> None:
     """Print an error message and exit with status 2."""
     # Messages contain names and values from files, which may be arbitrarily long.
-    lines, shown, characters = [visible(line) for line in message.split("\n")], list[str](), 0
-    for line in lines:
-        characters += len(line)
-        if shown and (characters > MOST_CHARACTERS or len(shown) == MOST_LINES):
-            break
-        shown.append(line)
-    if len(shown) < len(lines):
-        shown.append(f"and {len(lines) - len(shown)} more lines")
-    lines = shown
-    say("error:", "\n".join(lines), to_errors=True)
+    lines = [visible(line) for line in message.split("\n")]
+    ends = accumulate(map(len, lines[:MOST_LINES]))
+    count = max(1, sum(end <= MOST_CHARACTERS for end in ends))
+    shown = lines[:count]
+    if count < len(lines):
+        shown.append(f"and {len(lines) - count} more lines")
+    say("error:", "\n".join(shown), to_errors=True)
     raise SystemExit(2)
 
 

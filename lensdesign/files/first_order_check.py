@@ -349,14 +349,11 @@ def _recorded(
     """
     wavelength_um = draft.wavelengths_um[0]
     front, *inner, _ = draft.recorded
-    indices = [1.0] + [
-        n
-        if n is not None
-        else 1.0
-        if s.material is None
-        else refractive_index(s.material, wavelength_um, catalogs)
-        for s, n in zip(inner, stated or [None] * len(inner), strict=True)
-    ]
+    indices = [1.0]
+    for surface, index in zip(inner, stated or [None] * len(inner), strict=True):
+        if index is None and surface.material is not None:
+            index = refractive_index(surface.material, wavelength_um, catalogs)
+        indices.append(1.0 if index is None else index)
     stop = next((i for i, s in enumerate(inner) if s.stop), None)
     return _trim(
         front.distance_mm,
