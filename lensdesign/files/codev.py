@@ -63,6 +63,7 @@ from lensdesign.files.draft import (
     read_lines,
     read_note,
     read_vignetting,
+    starts_as_number,
     written_surfaces,
 )
 from lensdesign.files.index_records import IndexRecord
@@ -620,21 +621,16 @@ def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str
     if not values:
         raise InputError(f"{location}: a glass without its name")
     name, *rest = values
-    if _is_number(name) and rest and _is_number(rest[0]):  # a model glass in two words: 1.5168 64.17
+    if starts_as_number(name) and rest and starts_as_number(rest[0]):
+        # A model glass in two words: 1.5168 64.17.
         name, *rest = f"{name}:{rest[0]}", *rest[1:]
     surface.glass, surface.glass_location = name.strip("'\""), f"{location} ({surface.name})"
-    if _MIRRORS[0] in (surface.glass.upper(), *(word.upper() for word in rest)) or (
-        surface.glass.upper() in _MIRRORS
-    ):
+    if surface.glass.upper() in _MIRRORS or "REFL" in map(str.upper, rest):
         reader.draft.add_loss(f"{surface.name}: mirror, read as a surface in air")
-        surface.glass, rest = "AIR", [word for word in rest if word.upper() != _MIRRORS[0]]
-    rest = [word for word in rest if word.upper() != "REFR"]  # refraction is the default
+        surface.glass = "AIR"
+    rest = [word for word in rest if word.upper() not in ("REFL", "REFR")]  # refraction is the default
     if rest:
         reader.draft.add_loss(f"{surface.name}: {quoted(' '.join(rest))} behind the glass {surface.glass}")
-
-
-def _is_number(text: str) -> bool:
-    return text[:1] in "+-." or text[:1].isdigit()
 
 
 def _conic(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:

@@ -461,6 +461,11 @@ def _decode(data: bytes, location: str, not_text: str) -> str:
         return data.decode("latin-1")
 
 
+def starts_as_number(text: str) -> bool:
+    """Return whether a word is meant as a number, which :func:`parse_number` may still refuse."""
+    return text[:1] in "+-." or text[:1].isdigit()
+
+
 def parse_number(text: str, location: str) -> float:
     """Return a finite number in the notation of other programs (1.5, .5, 1E-3, 1D-3).
 

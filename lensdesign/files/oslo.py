@@ -43,6 +43,7 @@ from lensdesign.files.draft import (
     parse_number,
     quoted,
     read_lines,
+    starts_as_number,
 )
 from lensdesign.files.index_tables import LARGEST_INDEX, tabulated_index
 from lensdesign.files.oslo_surfaces import (
@@ -626,17 +627,13 @@ def _material(reader: FileReader, surface: FileSurface, supplement: Supplement) 
         return None
     model = words[0].upper() == "MOD"
     values = list(words[1:]) if model else list(words)
-    name = "" if values and _is_number(values[0]) else "".join(values[:1])
+    name = "" if values and starts_as_number(values[0]) else "".join(values[:1])
     indices = values[1:] if name else values
     if indices:
         return _tabulated(reader, surface, name, indices)
     if model:
         raise InputError(f"{surface.glass_location}: model glass {quoted(' '.join(words))} without an index")
     return _catalog_glass(reader, surface, name, supplement)
-
-
-def _is_number(text: str) -> bool:
-    return text[:1].isdigit() or text[:1] in "+-."
 
 
 def _tabulated(reader: FileReader, surface: FileSurface, name: str, values: Sequence[str]) -> float:
