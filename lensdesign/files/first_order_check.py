@@ -61,6 +61,12 @@ class _SurfaceTrain:
         """True if the lens has more than one medium."""
         return len(set(self.indices)) > 1
 
+    @property
+    def power_of_surfaces(self) -> float:
+        """Sum of the magnitudes of the powers of all surfaces in 1/mm."""
+        steps = zip(self.curvatures, pairwise(self.indices), strict=True)
+        return sum(abs((behind - n) * c) for c, (n, behind) in steps)
+
     def matrix(self) -> np.ndarray:
         """Return the ray matrix of (height, slope) from the first to the last vertex."""
         matrix = np.eye(2)
@@ -181,10 +187,6 @@ def compare_recorded_indices(draft: Draft, first: ImportedFirstOrder, catalogs: 
     known = [_recorded_index(draft, surface, catalogs) for surface in inner]
     train = _recorded(draft, catalogs, known)
     matrix = train.matrix()
-    powers = [
-        (behind - n) * c
-        for c, n, behind in zip(train.curvatures, train.indices, train.indices[1:], strict=False)
-    ]
     power = 0.0 if math.isinf(first.efl_mm) else 1.0 / first.efl_mm
     expected = float(-matrix[1, 0])
     scale = max(abs(power), abs(expected))
@@ -195,7 +197,7 @@ def compare_recorded_indices(draft: Draft, first: ImportedFirstOrder, catalogs: 
         f"focal length {first.efl_mm:.6g} mm at {draft.wavelengths_um[0]:g} µm, by the index records of the "
         f"file {_efl(matrix):.6g} mm{change}"
     )
-    smallest_scale = 0.1 * sum(map(abs, powers))  # of a nearly afocal lens
+    smallest_scale = 0.1 * train.power_of_surfaces  # of a nearly afocal lens
     own = {path.name for path in catalogs}
     is_own = any(
         isinstance(s.material, str) and get_material(s.material, catalogs).catalog in own for s in inner
@@ -230,10 +232,7 @@ def _matrix_differences(found: np.ndarray, train: _SurfaceTrain) -> list[str]:
     """Return the differences between two ray matrices in terms of focal lengths."""
     expected = train.matrix()
     length = float(np.sum(np.abs(train.distances_mm)))
-    power = sum(
-        abs((behind - n) * c)
-        for c, n, behind in zip(train.curvatures, train.indices, train.indices[1:], strict=False)
-    )
+    power = train.power_of_surfaces
     scale = np.array([[1.0 + length * power, length], [power, 1.0 + length * power]]) + np.abs(expected)
     with np.errstate(all="ignore"):
         same = np.abs(found - expected) <= TOLERANCE * (
