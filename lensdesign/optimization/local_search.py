@@ -178,7 +178,7 @@ def _search_from(
         objective, violation = 0.0, final.objective
     else:
         objective, violation = final.objective, final.violation
-    residual = _residual(final, point)
+    residual = stationarity(final, point)
     converged = worse is None and residual <= CONVERGED
     reason = outcome.stopped_because
     if worse is not None and not limit:
@@ -327,13 +327,7 @@ def _run_in_sequence(
 
 def _stationary(function: Callable[[Array], Evaluation], point: Array) -> bool:
     """Return whether a point meets the first-order conditions, since nlopt may stop too early."""
-    return _residual(function(point), point) <= CONVERGED
-
-
-def _residual(found: Evaluation, point: Array) -> float:
-    """Return the residual of the first-order conditions; inf where a ray is lost."""
-    is_traceable = max(found.objective, found.violation) < 0.5 * UNTRACEABLE
-    return stationarity(found, point) if is_traceable else math.inf
+    return stationarity(function(point), point) <= CONVERGED
 
 
 def starts_of(problem: DesignProblem, seed: int, count: int | None = None) -> Iterator[Array]:

@@ -224,10 +224,13 @@ def stationarity(e: Evaluation, point: Array) -> float:
     Returns
     -------
     float
-        Norm of that sum: the decrease of the goal, to first order, for a step of length 1.
+        Norm of that sum: the decrease of the goal, to first order, for a step of length 1. It is inf where a
+        ray is lost.
     """
     from scipy.optimize import nnls
 
+    if not max(e.objective, e.violation) < 0.5 * UNTRACEABLE:
+        return math.inf
     # Largest distance of active goals from the largest goal, and of active constraints from their limit.
     tolerance = 1e-4
     goals = e.goals >= np.max(e.goals) - tolerance
@@ -246,11 +249,7 @@ def stationarity(e: Evaluation, point: Array) -> float:
 
 def first_order_residual(e: Evaluation, point: Array) -> float:
     """Return the stationarity of a feasible point, or of the largest violation at another one."""
-    if e.violation > FEASIBLE:
-        e = constraints_alone(e)
-    if max(e.objective, e.violation) >= 0.5 * UNTRACEABLE:
-        return math.inf
-    return stationarity(e, point)
+    return stationarity(constraints_alone(e) if e.violation > FEASIBLE else e, point)
 
 
 def constraints_alone(e: Evaluation) -> Evaluation:
