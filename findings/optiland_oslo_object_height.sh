@@ -6,16 +6,8 @@
 # Seen (Optiland 0.6.3): the chief ray starts at y = +10 mm for OBH -10 as for OBH 10. The same solve gives a distance
 # of -106.7 mm where 67.8 mm is right, without a message.
 # Why it matters: OSLO saves the height with the sign that the user gave, often a negative one.
-set -euo pipefail
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install --quiet --no-deps optiland==0.6.3 numba==0.68.1 llvmlite==0.50.0 vtk==9.7.2 \
-  numpy==2.4.6 scipy==1.17.1 pandas==3.1.1 matplotlib==3.11.2 \
-  requests==2.34.2 urllib3==2.8.0 idna==3.20 certifi==2026.10.19.post1 charset-normalizer==3.5.3 PyYAML==6.0.4 \
-  python-dateutil==4.0.0 packaging==26.4 pillow==13.0.0 pyparsing==3.3.3 kiwisolver==1.5.1 cycler==0.12.1 \
-  fonttools==4.68.0 contourpy==1.3.3
-cd "$folder"
+source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
+install_optiland
 cat > below.len <<'LENS'
 LEN NEW "chief" 100 4
 NAO 0.05

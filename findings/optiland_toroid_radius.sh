@@ -5,16 +5,8 @@
 # Seen (Optiland 0.6.3): the reader takes the next value for each. The radius is infinite, so the toroid becomes a
 # cylinder, and PARM 3 becomes the coefficient of y^2.
 # Why it matters: the power of one section is gone, without a message. (The writer puts 1 / radius into PARM 1.)
-set -euo pipefail
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install --quiet --no-deps optiland==0.6.3 numba==0.68.1 llvmlite==0.50.0 vtk==9.7.2 \
-  numpy==2.4.6 scipy==1.17.1 pandas==3.1.1 matplotlib==3.11.2 \
-  requests==2.34.2 urllib3==2.8.0 idna==3.20 certifi==2026.10.19.post1 charset-normalizer==3.5.3 PyYAML==6.0.4 \
-  python-dateutil==4.0.0 packaging==26.4 pillow==13.0.0 pyparsing==3.3.3 kiwisolver==1.5.1 cycler==0.12.1 \
-  fonttools==4.68.0 contourpy==1.3.3
-cd "$folder"
+source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
+install_optiland
 cat > toroid.zmx <<'LENS'
 VERS 191106 258 36214
 MODE SEQ

@@ -4,17 +4,8 @@
 # Guess from memory: TITLE '' is a valid command with an empty text, and is read as such; any reader accepts it.
 # Seen (ray-optics 0.9.8): IndexError, list index out of range. The same file without the command opens.
 # Why it matters: programs write TITLE '' for a lens that has no title. Delete the line.
-set -euo pipefail
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install --quiet --no-deps rayoptics==0.9.8 opticalglass==1.1.1 anytree==2.13.0 \
-  json-tricks==3.17.3 transforms3d==0.4.2 parsimonious==0.11.0 regex==2026.11.19 xlrd==2.0.2 \
-  numpy==2.4.6 scipy==1.17.1 pandas==3.1.1 matplotlib==3.11.2 \
-  requests==2.34.2 urllib3==2.8.0 idna==3.20 certifi==2026.10.19.post1 charset-normalizer==3.5.3 PyYAML==6.0.4 \
-  python-dateutil==4.0.0 packaging==26.4 pillow==13.0.0 pyparsing==3.3.3 kiwisolver==1.5.1 cycler==0.12.1 \
-  fonttools==4.68.0 contourpy==1.3.3
-cd "$folder"
+source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
+install_rayoptics
 cat > empty.seq <<'LENS'
 RDM;LEN
 TITLE ''

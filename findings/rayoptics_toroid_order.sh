@@ -5,17 +5,8 @@
 # Seen (ray-optics 0.9.8): the reader appends it behind a profile that has ten coefficients of 0 already, and PARM 2
 # behind those. PARM 3 becomes the coefficient of y^24. At 5 mm, 1e-6 becomes a sag of 6e10 mm.
 # Why it matters: rays miss the surface, or end elsewhere without a message where the coefficient is small.
-set -euo pipefail
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install --quiet --no-deps rayoptics==0.9.8 opticalglass==1.1.1 anytree==2.13.0 \
-  json-tricks==3.17.3 transforms3d==0.4.2 parsimonious==0.11.0 regex==2026.11.19 xlrd==2.0.2 \
-  numpy==2.4.6 scipy==1.17.1 pandas==3.1.1 matplotlib==3.11.2 \
-  requests==2.34.2 urllib3==2.8.0 idna==3.20 certifi==2026.10.19.post1 charset-normalizer==3.5.3 PyYAML==6.0.4 \
-  python-dateutil==4.0.0 packaging==26.4 pillow==13.0.0 pyparsing==3.3.3 kiwisolver==1.5.1 cycler==0.12.1 \
-  fonttools==4.68.0 contourpy==1.3.3
-cd "$folder"
+source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
+install_rayoptics
 cat > toroid.zmx <<'LENS'
 VERS 191106 258 36214
 MODE SEQ

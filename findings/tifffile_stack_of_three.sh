@@ -7,12 +7,8 @@
 # the tags at their word sees a colour picture. Pillow opens it as RGB of 8 bits without an error. Its red channel holds
 # neither the high bytes nor the low bytes of the first frame.
 # Why it matters: dark frames and flat fields are often averages of three. State photometric="minisblack" when writing.
-set -euo pipefail
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install --quiet tifffile==2026.3.3 pillow==12.0.0 numpy==2.3.4
-cd "$folder"
+source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
+venv/bin/pip install --quiet tifffile==2026.3.3 pillow==12.0.0 numpy==2.3.4
 venv/bin/python - <<'PYTHON'
 import sys
 import warnings

@@ -7,16 +7,14 @@
 # restores the axes behind it. Both readers drop the records. The chief ray stays on the axis, where a wedge of
 # (n - 1)(tilt + decenter / radius) = 1.3 or 0.7 degrees, depending on the sign of the tilt, moves it by more than 0.5 mm.
 # Why it matters: a lens with tolerances that were drawn in OpticStudio arrives as a perfect one.
-set -euo pipefail
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install --quiet optiland==0.6.3 rayoptics==0.9.8
-cd "$folder"
+source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
+install_optiland
+install_rayoptics
 venv/bin/python - <<'PYTHON' 2>error.txt || { cat error.txt >&2; exit 1; }
 import sys
 import warnings
 from importlib.metadata import version
+from pathlib import Path
 
 warnings.simplefilter("ignore")
 import numpy as np
@@ -61,7 +59,7 @@ for name, text in (("centred", ""), ("tilted", PROPERTY)):
         file.write(LENS.replace("{property}", text))
 
 from optiland.fileio import load_zemax_file
-from rayoptics.environment import open_model
+from rayoptics.zemax.zmxread import read_lens_file
 
 heights = []
 for name in ("centred", "tilted"):
@@ -69,7 +67,7 @@ for name in ("centred", "tilted"):
     optic.trace_generic(0, 0, 0, 0.0, 0.5875618)
     heights.append(float(np.ravel(optic.surface_group.y)[-1]))
 print("Optiland", version("optiland"), "chief ray at the image, mm:", heights)
-decenters = [s.decenter for s in open_model("tilted.zmx")["seq_model"].ifcs]
+decenters = [s.decenter for s in read_lens_file(Path("tilted.zmx"))[0].seq_model.ifcs]
 print("ray-optics", version("rayoptics"), "decenters of the surfaces:", decenters)
 sys.exit(0 if heights[0] == heights[1] == 0.0 and not any(decenters) else 1)
 PYTHON
