@@ -65,8 +65,11 @@ FRAME_SETTINGS = (
 )
 """Settings of frames that all versions know."""
 
-SCALE, PATCH_MM = 1 / 32, 0.05
-"""Size of the lens over that of the paper's, and side of the patch."""
+BENCHES = {"1/32": (1 / 32, 0.05), "1/16": (1 / 16, 0.19)}
+"""Size of the lens over that of the paper's, and side of the patch.
+
+The larger bench is that of the demo. On the smaller one, planes have little diversity.
+"""
 
 
 def picture(name: str) -> np.ndarray:
@@ -77,11 +80,11 @@ def picture(name: str) -> np.ndarray:
     return np.asarray(color.rgb2gray(values) if values.ndim == 3 else values / 255.0, float)
 
 
-def chart(name: str, patch: Any, numerical_aperture: float) -> np.ndarray:
+def chart(name: str, patch: Any, patch_mm: float, numerical_aperture: float) -> np.ndarray:
     """Return the transmission of a chart on the samples of a patch."""
     from benchmarks.verdicts.objects import make_object
 
-    half_mm = 0.5 * PATCH_MM
+    half_mm = 0.5 * patch_mm
     y, x = patch.grid.y_mm[:, None] / half_mm, patch.grid.x_mm / half_mm
     if name == "F":
         stem = (abs(x + 0.2) < 0.08) & (abs(y) < 0.5)
@@ -96,7 +99,7 @@ def chart(name: str, patch: Any, numerical_aperture: float) -> np.ndarray:
     return np.asarray(make_object(name, patch, numerical_aperture, 0).values)
 
 
-def make_frames(folder: Path, name: str, seed: int) -> None:
+def make_frames(folder: Path, name: str, seed: int, bench: str) -> None:
     """Record and write the frames of an object, and the object itself."""
 
     from skimage.transform import resize
@@ -109,8 +112,9 @@ def make_frames(folder: Path, name: str, seed: int) -> None:
     from wavesim.targets.patch import OBJECT_FILE, lit_patch
 
     folder.mkdir(parents=True, exist_ok=True)
-    lens = scaled(load_design(DESIGNS / "paper_singlet.toml"), SCALE)
-    patch, _ = lit_patch(lens, PatchSettings(patch_mm=PATCH_MM), lens.wavelengths_um[0])
+    scale, patch_mm = BENCHES[bench]
+    lens = scaled(load_design(DESIGNS / "paper_singlet.toml"), scale)
+    patch, _ = lit_patch(lens, PatchSettings(patch_mm=patch_mm), lens.wavelengths_um[0])
     if name in PICTURES:
         values = picture(name)
         side = min(values.shape)
@@ -118,7 +122,7 @@ def make_frames(folder: Path, name: str, seed: int) -> None:
         values = values[top : top + side, left : left + side]
         values = resize(values, patch.grid.shape, anti_aliasing=True)[::-1]
     else:
-        values = chart(name, patch, lens.object.numerical_aperture)
+        values = chart(name, patch, patch_mm, lens.object.numerical_aperture)
     thing = Field(patch.grid, values.astype(np.complex64), patch.wavelength_um)
     imaged = image(lens, thing, field_stop_mm=patch.field_stop_mm, seed=seed)
     for number, frame in enumerate(imaged.frames, start=1):
@@ -129,7 +133,7 @@ def make_frames(folder: Path, name: str, seed: int) -> None:
     save_design(lens, folder / "lens.toml")
 
 
-def result(folder: Path, name: str, seed: int) -> dict[str, Any]:
+def result(folder: Path, name: str, seed: int, bench: str) -> dict[str, Any]:
     """Reconstruct frames with default settings, and return the figures of the result."""
     from lensdesign import load_design
     from wavesim import Frame, FrameSettings, reconstruct_frames
@@ -140,7 +144,7 @@ def result(folder: Path, name: str, seed: int) -> dict[str, Any]:
         for path in sorted(folder.glob("frame_*.npz"))
     ]
     begun = process_time()
-    found = reconstruct_frames(lens, frames, kind="amplitude", patch_mm=PATCH_MM, truth=folder)
+    found = reconstruct_frames(lens, frames, kind="amplitude", patch_mm=BENCHES[bench][1], truth=folder)
     seconds = process_time() - begun
     amplitude, true = (np.abs(field.values[found.inside]) for field in (found.transmission, found.true))
     return {
@@ -172,6 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
     """Reconstruct all objects, print a table, and return the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="charts and photographs; default: all")
+    parser.add_argument("--bench", choices=BENCHES, default="1/16", help="size of the lens over the paper's")
     parser.add_argument("--seeds", type=int, default=1, help="number of seeds of the noise")
     parser.add_argument("--frames", type=Path, help="folder that keeps recorded frames for the next run")
     parser.add_argument("--json", type=Path, help="file to which the results are written, too")
@@ -183,10 +188,11 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
         print(f"| {' | '.join(heads)} |\n| {' | '.join('---' for _ in heads)} |", flush=True)
         for name in given.names or (*CHARTS, *PICTURES):
             for seed in range(given.seeds):
-                folder = (given.frames or Path(temporary)) / f"{name.replace(' ', '_')}_{seed}"
+                own = f"{name.replace(' ', '_')}_{seed}_{given.bench.replace('/', '_')}"
+                folder = (given.frames or Path(temporary)) / own
                 if not (folder / "lens.toml").exists():
-                    make_frames(folder, name, seed)
-                results.append(result(folder, name, seed))
+                    make_frames(folder, name, seed, given.bench)
+                results.append(result(folder, name, seed, given.bench))
                 print(table_row(results[-1]), flush=True)
                 if given.json is not None:
                     given.json.write_text(json.dumps(results, indent=1))
