@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -35,6 +38,14 @@ may be restarted in the meantime."""
 CHECK_SECONDS = 0.5
 """Interval between checks for workers while waiting for a result."""
 
+ANSWER_SECONDS = 5.0
+"""Time limit for an answer of the scheduler, or of a worker that is asked alone."""
+
+SILENT_WORKER_SECONDS, SILENT_SCHEDULER_SECONDS = 60.0, 60.0
+"""Time without a sign of life after which a warning about a worker is printed, and after which the work fails
+because of the scheduler. A worker that computes outside Python gives none for some seconds, too.
+"""
+
 RETRIES = 2
 """Number of retries of a task that failed because of its machine."""
 
@@ -57,13 +68,24 @@ class ClusterResult(Protocol[Stored_co]):
     def result(self, timeout: float | None = None) -> Stored_co: ...
 
 
+@dataclass
+class _SignOfLife:
+    """Time of a worker's last message by the scheduler's clock, and of its first sight by this machine's."""
+
+    last_seen: float
+    seen_at: float
+    is_reported: bool = False
+
+
 class Cluster:
     """A connection to a cluster whose number of workers may change."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
         self._executor = client.get_executor(retries=RETRIES, pure=False)
-        self._threads, self._counted_at = 0, -COUNT_SECONDS
+        self._threads, self._counted_at = 0, -math.inf
+        self._answered_at = time.monotonic()
+        self._signs = dict[str, _SignOfLife]()
         self._alone_since: float | None = None
         self._is_reported = False
 
@@ -125,17 +147,24 @@ class Cluster:
             patience *= 2.0  # a large result may take longer
 
     def check_workers(self) -> None:
-        """Report that the cluster has no worker, and raise an error after some more seconds.
+        """Report workers that do not answer, and a lack of workers, which is an error after some seconds.
 
         Raises
         ------
         ClusterError
-            If there has been no worker for `WAIT_SECONDS`.
+            If there has been no worker for `WAIT_SECONDS`, or no answer of the scheduler for
+            `SILENT_SCHEDULER_SECONDS`.
         """
-        if self.threads() > 0:
+        threads, now = self.threads(), time.monotonic()
+        if now - self._answered_at > SILENT_SCHEDULER_SECONDS:
+            raise ClusterError(
+                f"the cluster's scheduler has not answered for {SILENT_SCHEDULER_SECONDS:g} s: it hangs, or "
+                "its machine cannot be reached"
+            )
+        self._report_silent_workers(now)
+        if threads > 0:
             self._alone_since, self._is_reported = None, False
             return
-        now = time.monotonic()
         self._alone_since = now if self._alone_since is None else self._alone_since
         if now - self._alone_since > WAIT_SECONDS:
             raise ClusterError(
@@ -149,6 +178,19 @@ class Cluster:
                 flush=True,
             )
 
+    def _report_silent_workers(self, now: float) -> None:
+        """Print once which workers give no sign of life; their tasks wait for them."""
+        for address, sign in self._signs.items():
+            if now - sign.seen_at > SILENT_WORKER_SECONDS and not sign.is_reported:
+                sign.is_reported = True
+                print(
+                    f"worker {address} has not answered for {SILENT_WORKER_SECONDS:g} s, and its tasks wait: "
+                    "end it if it hangs; otherwise the scheduler gives them to other workers when it counts "
+                    "it as lost (by default after 5 to 10 minutes)",
+                    file=sys.stderr,
+                    flush=True,
+                )
+
     def submit(self, work: Callable[..., Result], *arguments: Any) -> Future[Result]:
         """Submit a task; results stored in the cluster may be among its arguments."""
         future: Future[Result] = self._executor.submit(work, *arguments)
@@ -157,10 +199,25 @@ class Cluster:
     def threads(self) -> int:
         """Return the number of tasks that the cluster can run at a time; it is updated every few seconds."""
         if time.monotonic() - self._counted_at > (COUNT_SECONDS if self._threads else CHECK_SECONDS):
-            with suppress(OSError):  # the scheduler has ended; waiting for results reports it
-                self._threads = sum(self._client.nthreads().values())
+            # If the scheduler has ended, waiting for results reports it; if it hangs, `check_workers` does.
+            with suppress(OSError):
+                workers: dict[str, Any] = self._client.sync(
+                    self._client.scheduler.identity, callback_timeout=ANSWER_SECONDS
+                )["workers"]
+                self._note_workers(workers)
             self._counted_at = time.monotonic()
         return self._threads
+
+    def _note_workers(self, workers: Mapping[str, Any]) -> None:
+        """Note the number of threads and the signs of life in an answer of the scheduler."""
+        self._threads, self._answered_at = sum(one["nthreads"] for one in workers.values()), time.monotonic()
+        before, self._signs = self._signs, {}
+        for address, one in workers.items():
+            sign = before.get(address)
+            # The times are of the scheduler's clock, which may differ from that of this machine, and be set.
+            if sign is None or sign.last_seen != one["last_seen"]:
+                sign = _SignOfLife(one["last_seen"], self._answered_at)
+            self._signs[address] = sign
 
     def close(self) -> None:
         """Submit no more tasks."""
@@ -242,6 +299,7 @@ def open_cluster(address: str) -> Iterator[Cluster]:
     settings = {"distributed.comm.timeouts.connect": waiting, large_graph: "1 TB"}
     with _quiet(), dask.config.set(settings):
         try:
+            _check_scheduler(address)
             client = Client(address, timeout=waiting, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
@@ -273,6 +331,25 @@ def _quiet() -> Iterator[None]:
             log.setLevel(level)
 
 
+def _check_scheduler(address: str) -> None:
+    """Raise OSError if a scheduler does not answer in time; a client would wait for one that hangs."""
+    from distributed import Security
+    from distributed.comm import connect
+    from distributed.utils import LoopRunner, sync
+
+    async def probe() -> None:
+        connection = Security().get_connection_args("client")
+        comm = await connect(address, timeout=CONNECT_SECONDS, **connection)
+        await comm.close()
+
+    runner = LoopRunner()
+    runner.start()
+    try:
+        sync(runner.loop, probe, callback_timeout=CONNECT_SECONDS)
+    finally:
+        runner.stop()
+
+
 def _check_workers(client: Client, address: str) -> None:
     """Refuse a cluster without workers, or with a toolkit of another version."""
     try:
@@ -282,7 +359,13 @@ def _check_workers(client: Client, address: str) -> None:
             f"--cluster {address}: no worker has joined the scheduler within {CONNECT_SECONDS:g} s"
         ) from error
     try:
-        versions: dict[str, str] = client.run(version, "transferlens")
+        versions: dict[str, str] = client.run(version, "transferlens", callback_timeout=CONNECT_SECONDS)
+    except TimeoutError as error:
+        silent = ", ".join(filter(partial(_is_silent, client), client.nthreads())) or "some of its workers"
+        raise InputError(
+            f"--cluster {address}: no answer within {CONNECT_SECONDS:g} s from {silent}: end the workers "
+            "that hang, and start others if need be"
+        ) from error
     except Exception as error:
         raise InputError(f"--cluster {address}: its workers cannot use this toolkit: {error}") from error
     for worker, found in sorted(versions.items()):
@@ -291,3 +374,12 @@ def _check_workers(client: Client, address: str) -> None:
                 f"--cluster {address}: worker {worker} has version {found} of the toolkit, but this computer "
                 f"has {toolkit_version()}: install the same version on the workers"
             )
+
+
+def _is_silent(client: Client, worker: str) -> bool:
+    """Return whether a worker does not answer."""
+    try:
+        client.run(int, workers=[worker], callback_timeout=ANSWER_SECONDS)
+    except TimeoutError:
+        return True
+    return False

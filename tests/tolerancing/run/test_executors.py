@@ -1,6 +1,8 @@
 """A Dask cluster: the same rows as here, workers that die, and plain words where it cannot be used."""
 
 import logging
+import os
+import signal
 import socket
 import sys
 from dataclasses import replace
@@ -182,3 +184,57 @@ def test_a_worker_that_comes_in_time_goes_on(slow_rays, cluster, tmp_path, monke
 
     outcome = run_study(slow_rays, tmp_path / "store", trials=200, cluster=cluster.address, progress=progress)
     assert (outcome.trials_run, len(killed)) == (200, 1)
+
+
+def test_a_scheduler_that_hangs_ends_the_run_with_a_message(slow_rays, cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "SILENT_SCHEDULER_SECONDS", 2.0)
+    monkeypatch.setattr(module, "ANSWER_SECONDS", 0.5)
+    cluster.worker()
+
+    def progress(done, total):
+        if done > 50:
+            os.kill(cluster.processes[0].pid, signal.SIGSTOP)
+
+    with pytest.raises(RunError, match=r"scheduler has not answered for 2 s.*repeat the command"):
+        run_study(slow_rays, tmp_path / "store", trials=4000, cluster=cluster.address, progress=progress)
+    with open_store(tmp_path / "store") as store:
+        assert 50 < store.trial_count() < 4000
+
+
+def test_a_worker_that_hangs_is_reported_until_it_is_ended(slow_rays, cluster, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(module, "SILENT_WORKER_SECONDS", 3.0)
+    first, _ = cluster.worker(), cluster.worker()
+    reports = []
+
+    def end_worker(self, now, report=module.Cluster._report_silent_workers):
+        report(self, now)
+        reports.append(capsys.readouterr().err)
+        if reports[-1]:
+            first.kill()
+
+    monkeypatch.setattr(module.Cluster, "_report_silent_workers", end_worker)
+
+    def progress(done, total):
+        if done > 20:
+            os.kill(first.pid, signal.SIGSTOP)
+
+    outcome = run_study(slow_rays, tmp_path / "store", trials=150, cluster=cluster.address, progress=progress)
+    assert outcome.trials_run == 150
+    assert [text.startswith("worker tcp://127.0.0.1:") for text in reports if text] == [True]
+
+
+@pytest.mark.parametrize("hangs", ["worker", "scheduler"])
+def test_a_cluster_that_hangs_from_the_start_is_refused(rays, cluster, tmp_path, monkeypatch, hangs):
+    workers = cluster.worker(), cluster.worker()
+    with module.open_cluster(cluster.address) as connected:
+        while connected.threads() < len(workers):
+            pass
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 3.0)
+    monkeypatch.setattr(module, "ANSWER_SECONDS", 1.0)
+    process = workers[0] if hangs == "worker" else cluster.processes[0]
+    os.kill(process.pid, signal.SIGSTOP)
+    message = (
+        r"no answer within 3 s from tcp://[^,]*: end" if hangs == "worker" else "no Dask scheduler answers"
+    )
+    with pytest.raises(InputError, match=message):
+        run_study(rays, tmp_path / "store", cluster=cluster.address)
