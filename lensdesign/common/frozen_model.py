@@ -26,6 +26,16 @@ Positive = Annotated[
 ]
 """Positive size in any unit, within the limits of :mod:`lensdesign.common.number_limits`."""
 
+
+def _zero_or_not_tiny(value: float) -> float:
+    return _not_tiny(value) if value else value
+
+
+NotNegative = Annotated[
+    float, Field(ge=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False), AfterValidator(_zero_or_not_tiny)
+]
+"""Size in any unit that may be 0, and is within the limits of a positive size otherwise."""
+
 FiniteNumber = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allow_inf_nan=False)]
 """Number of either sign in any unit; computations with both ends stay finite."""
 

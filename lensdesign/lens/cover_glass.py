@@ -6,11 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from lensdesign.common.frozen_model import FrozenModel, Positive
-from lensdesign.common.number_limits import LARGEST_IN_FILES
+from lensdesign.common.frozen_model import FrozenModel, NotNegative, Positive
 from lensdesign.lens.coatings.coating import SurfaceCoating
-
-Distance = Annotated[float, Field(ge=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False)]
 
 
 class CoverGlass(FrozenModel):
@@ -38,7 +35,7 @@ class CoverGlass(FrozenModel):
 
     thickness_mm: Positive
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)]
-    distance_mm: Distance
+    distance_mm: NotNegative
     coating: SurfaceCoating = "ideal"
 
     @property

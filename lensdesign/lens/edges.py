@@ -7,10 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
-from lensdesign.common.number_limits import LARGEST_IN_FILES
-
-NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False)]
+from lensdesign.common.frozen_model import Finite, FrozenModel, NotNegative, Positive
 
 
 class Flange(FrozenModel):

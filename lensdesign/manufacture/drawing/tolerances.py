@@ -9,14 +9,13 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from lensdesign.analysis.outline import GENERAL_EDGES, EdgeAllowance
-from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
+from lensdesign.common.frozen_model import FrozenModel, NotNegative, Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.surface import Surface
 
 MERCURY_LINE_UM = 0.54607
 """Green mercury line, the default wavelength of fringe spacings in ISO 10110-5."""
 
-NotNegative = Annotated[Finite, Field(ge=0.0, le=1e9)]
 ShortText = Annotated[str, Field(max_length=200)]
 
 
