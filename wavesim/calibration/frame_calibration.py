@@ -373,18 +373,13 @@ def _found_stop(problem: CalibrationProblem, folder: Path | None, progress: Prog
     search = _stop_search(problem, problem.start, progress, folder)
     if not is_requested and isinstance(search.engine, Tiled):
         return None
-    try:
+    with search.interruptible():
         if is_requested:
             return search.run(settings.field_stop_mm, settings.field_stop_at_mm)
         patch = problem.framed.patch
         stop = FieldStop(patch.field_stop_mm, patch.field_stop_at_mm)
         # A displaced lens or tilted light move the light by a few hundredths of the patch.
         return search.find_better_stop(stop) if search.is_displaced_from(stop) else None
-    except KeyboardInterrupt:
-        outcome = "nothing was written"
-        if search.checkpoint is not None and search.checkpoint.kept:
-            outcome = "run the same command again to continue"
-        raise KeyboardInterrupt(f"interrupted in the search for the field stop; {outcome}") from None
 
 
 def _stop_search(

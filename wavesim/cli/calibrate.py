@@ -89,12 +89,12 @@ def calibrate(
 
         def write(found: Calibrated) -> None:
             """Write a bench that is not judged yet."""
+            searched.append(found)  # an interrupt from here on keeps it
             with warnings.catch_warnings():  # those of plots are no warnings about the result
                 warnings.simplefilter("ignore")
                 write_calibration(
                     found, frames, pictures, extra | {"warnings": warning_messages(caught)}, output
                 )
-            searched.append(found)
 
         try:
             found = calibrate_frames(

@@ -58,7 +58,7 @@ def colours(
 
     Frames may be recorded one wavelength after the other, or at once on a monochrome sensor or behind colour
     filters; they state which. The exit status is 0 if the frames are explained within their noise, and 1 if
-    they are not.
+    they are not. A run has no checkpoint: after an interrupt, the same command starts from the beginning.
 
     Example: wavesim colours lens.toml frames --patch-mm 0.1 -o object
     """
@@ -71,7 +71,7 @@ def colours(
         warnings.simplefilter("always")
         lens = load_design(design)
         pictures = read_colour_frames(frame_files(frames, "FRAMES"), of_frames, lens=lens)
-        with progress() as on_progress:
+        with progress(resumes=False) as on_progress:
             found = reconstruct_colours(lens, pictures, settings, truth=truth, progress=on_progress)
     messages = warning_messages(caught)
     print_warnings(messages)

@@ -35,7 +35,7 @@ def in_free_space(
     from wavesim.sensor.frames import AssumedWarning
 
     _refuse_of_lenses(settings, of_lenses)
-    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
+    with progress(resumes=False) as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         warnings.simplefilter("ignore", AssumedWarning)
         found = reconstruct_free_space(

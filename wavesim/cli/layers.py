@@ -46,7 +46,7 @@ def in_layers(
 
     lens = load_design(design)
     stop_from, stop_doubt, settings = with_calibrated_stop(calibration, settings)
-    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
+    with progress(resumes=False) as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = reconstruct_layers(
             lens,

@@ -64,7 +64,7 @@ def plan(
 
     validate_picture_request(output)
     lens = load_design(design)
-    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
+    with progress(resumes=False) as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = plan_frames(lens, settings, example=object_, progress=on_progress)
     messages = warning_messages(caught)

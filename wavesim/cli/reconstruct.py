@@ -104,8 +104,8 @@ def reconstruct(
 
     The exit status is 0 if the frames are explained within their noise, and 1 if they are not. In the second
     case the most likely causes are tested and named. After an interrupt, repeat the command to continue from
-    the last checkpoint. An interrupt during these tests keeps the object, which is then not judged: the exit
-    status is 1.
+    the last checkpoint; with --layers-um or --free-space it starts from the beginning. An interrupt during
+    these tests keeps the object, which is then not judged: the exit status is 1.
 
     Example: wavesim reconstruct frames/*.tif --design lens.toml -o object
     """
@@ -113,7 +113,7 @@ def reconstruct(
     from wavesim.metrics.goodness_of_fit import Finding, with_finding
     from wavesim.metrics.next_steps import STOP_CAUSE
     from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-    from wavesim.runtime.checkpoint import CHECKPOINT, SEARCH_CHECKPOINTS
+    from wavesim.runtime.checkpoint import CHECKPOINT, SEARCH_CHECKPOINTS, STOP_TRIALS
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
@@ -226,7 +226,7 @@ def reconstruct(
             _write_summary(summary, output)
     if summary["verdict"]["judged"]:
         searches = (output / subfolder / name for name in SEARCH_CHECKPOINTS)
-        for path in (output / CHECKPOINT, *searches):
+        for path in (output / CHECKPOINT, output / STOP_TRIALS, *searches):
             with suppress(OSError):  # the results are written
                 path.unlink(missing_ok=True)
     if as_json:

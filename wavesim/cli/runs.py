@@ -19,10 +19,20 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def progress() -> Iterator[Progress]:
-    """Show the progress, and yield the callback that library functions call."""
+def progress(*, resumes: bool = True) -> Iterator[Progress]:
+    """Show the progress, and yield the callback that library functions call.
+
+    An interrupt of a run that does not resume says that its work is lost.
+    """
     with progress_count("starting") as count:
-        yield lambda stage, completed, total: count.update(completed, total or None, stage)
+        try:
+            yield lambda stage, completed, total: count.update(completed, total or None, stage)
+        except KeyboardInterrupt as stop:
+            if resumes or stop.args:
+                raise
+            raise KeyboardInterrupt(
+                "interrupted; nothing was written, and the same command starts from the beginning"
+            ) from None
 
 
 def print_table(

@@ -39,6 +39,7 @@ from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.reconstruction.problem import ReconstructionProblem
+from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import SourceMode
@@ -219,7 +220,11 @@ def _score_test(
 
 
 def stop_search(
-    case: ReconstructionProblem, settings: ReconstructionSettings, engine: Engine, progress: Progress
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    progress: Progress,
+    checkpoint: Checkpoint | None = None,
 ) -> StopSearch:
     """Return the search for another field stop than the assumed one."""
     grid = case.patch.grid
@@ -233,6 +238,7 @@ def stop_search(
         settings.fill_factor,
         case.modes,
         lambda stage, completed, total: progress(stage),
+        checkpoint,
     )
 
 

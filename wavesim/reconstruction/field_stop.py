@@ -16,7 +16,8 @@ leaves too much freedom for so few iterations: the misfit increases in both case
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -262,6 +263,17 @@ class StopSearch:
             trials = [(s.width_mm, *s.at_mm, count, value) for (s, count), value in self._misfits.items()]
             self.checkpoint.keep(trials=np.array(trials))
         return found.misfit[-1]
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Add to an interrupt within the block whether the trials that were made are kept."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            outcome = "nothing was written"
+            if self.checkpoint is not None and self.checkpoint.kept:
+                outcome = "run the same command again to continue"
+            raise KeyboardInterrupt(f"interrupted in the search for the field stop; {outcome}") from None
 
     def _begin(self, name: str, expected: int) -> None:
         """Begin a stage of the search with an expected number of trials."""

@@ -57,7 +57,7 @@ from wavesim.reconstruction.problem import (
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
 from wavesim.reconstruction.source_search import WIDTHS, find_source, sought_widths
-from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.runtime.checkpoint import STOP_TRIALS, Checkpoint
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import SAFETY, Engine, Tiled
 from wavesim.scene.scattered_light import Light
@@ -109,8 +109,9 @@ def reconstruct_frames(
     calibration
         State of the system, from :func:`wavesim.calibrate_frames`. Default: as designed.
     folder
-        Folder of the checkpoint (`CHECKPOINT`) and of arrays that do not fit in memory. The same call
-        continues an interrupted run. The checkpoint is not removed.
+        Folder of the checkpoints (`CHECKPOINT`, and `STOP_TRIALS` of a search for the field stop), and of
+        arrays that do not fit in memory. The same call continues an interrupted run. Checkpoints are not
+        removed.
     progress
         Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
     on_estimate
@@ -193,8 +194,10 @@ def _find_stop(
             "{field_stop} find: needs many short reconstructions, which take too long for a whole field; "
             "find it on a smaller patch ({patch_mm}), and state {field_stop_mm} and {field_stop_at_mm}"
         )
-    search = stop_search(case, settings, case.engine, reporter.step)
-    return search.run(settings.field_stop_mm, settings.field_stop_at_mm)
+    trials = case.checkpoint and Checkpoint(case.checkpoint.path.with_name(STOP_TRIALS), case.checkpoint.key)
+    search = stop_search(case, settings, case.engine, reporter.step, trials)
+    with search.interruptible():
+        return search.run(settings.field_stop_mm, settings.field_stop_at_mm)
 
 
 class ProgressReporter:

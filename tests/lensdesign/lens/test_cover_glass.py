@@ -50,7 +50,12 @@ def test_there_must_be_air_behind_the_lens(covered: Lens) -> None:
         ('"N-BK7"\ndistance', '"no glass"\ndistance', MaterialError, "unknown material 'no glass'"),
         ("thickness_mm = 0.7", "thickness_mm = 0.0007", DesignError, "cover_glass, thickness_mm = 0.0007"),
         ("thickness_mm = 0.7", "thickness_mm = -0.7", DesignError, "cover_glass"),
-        ("distance_mm = 0.5", "distance_mm = 1e-300", DesignError, "cover_glass, distance_mm: must be at least"),
+        (
+            "distance_mm = 0.5",
+            "distance_mm = 1e-300",
+            DesignError,
+            "distance_mm: must be at least",
+        ),
         ("distance_mm = 0.5", "", DesignError, "distance_mm"),
         ("distance_mm = 0.5", "distance_mm = 0.5\nwidth = 1", DesignError, "width: unknown key"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from programs import Command
@@ -17,6 +18,7 @@ from wavesim.calibration import calibration_problem, frame_calibration
 from wavesim.calibration.calibration_result import field_stop_of, read_calibration
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
+from wavesim.plots import calibrations
 from wavesim.reconstruction import frame_reconstruction
 from wavesim.scene.system_state import SystemState
 
@@ -141,13 +143,20 @@ def test_an_interrupted_search_goes_on(
     assert set(found["deviations"]) == {"decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg"}
 
 
-def test_an_interrupt_during_the_verdict_keeps_the_bench(
-    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    "part", [(frame_calibration, "reconstruct_frames"), (calibrations, "calibration_figure")]
+)
+def test_an_interrupt_after_the_search_keeps_the_bench(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path, part: tuple[Any, str]
 ) -> None:
+    """Also if it comes while the bench is drawn for the first time."""
+    completed = getattr(*part)
+
     def interrupted(*_: object, **__: object) -> None:
+        monkeypatch.setattr(*part, completed)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(frame_calibration, "reconstruct_frames", interrupted)
+    monkeypatch.setattr(*part, interrupted)
     command = (*frames_and_design(data), "--parameters", "decenter_x_mm", "--iterations", 2, "--scale", 1)
     code, out, err = wavesim("calibrate", *command, "--max-mountings", 2, "-o", tmp_path)
     assert code == 1, err

@@ -138,7 +138,30 @@ def test_a_grey_object_whose_light_lies_aside_starts_no_search(monkeypatch: pyte
     assert 0 < len(trials) < 10
 
 
-def test_an_interrupted_search_for_the_stop_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def reconstruction_of(frames: Any, folder: Path | None = None, progress: Any = None, **changes: Any) -> Any:
+    """The stop of a reconstruction of one iteration, which is not judged."""
+    patches: list[Any] = []
+
+    def ended(found: FoundObject) -> None:
+        patches.append(found.patch)
+        raise KeyboardInterrupt
+
+    settings = {"kind": "amplitude", "patch_mm": PATCH_MM, **TILES, **changes}
+    with pytest.raises(KeyboardInterrupt) as stop:
+        reconstruct_frames(LENS, frames, folder=folder, progress=progress, on_found=ended, **settings)
+    if not patches:
+        raise stop.value
+    return patches[0].field_stop_mm, patches[0].field_stop_at_mm
+
+
+def stop_of_calibration(frames: Any, **changes: Any) -> Any:
+    return calibration_of(frames, most_mountings=1, **changes).field_stop
+
+
+@pytest.mark.parametrize("stop_of", [stop_of_calibration, reconstruction_of])
+def test_an_interrupted_search_for_the_stop_goes_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, stop_of: Any
+) -> None:
     """No trial is made twice, and the result is that of a search without an interrupt."""
     tried: list[tuple[FieldStop, int]] = []
     most = [4]
@@ -154,17 +177,17 @@ def test_an_interrupted_search_for_the_stop_goes_on(monkeypatch: pytest.MonkeyPa
     misfit = StopSearch.misfit
     monkeypatch.setattr(StopSearch, "misfit", counted)
     frames = image(LENS, grains(), exposures=(1.0,), pixels=84, **TILES, field_stop_mm=STOP_MM).frames
-    stop = {"field_stop": "find", "field_stop_at_mm": (0.0, 0.0), "iterations": 1, "most_mountings": 1}
+    stop = {"field_stop": "find", "field_stop_at_mm": (0.0, 0.0), "iterations": 1}
     stages: list[str] = []
     with pytest.raises(KeyboardInterrupt, match="run the same command again"):
-        calibration_of(frames, folder=tmp_path, progress=lambda s, done, total: stages.append(s), **stop)
+        stop_of(frames, folder=tmp_path, progress=lambda stage, done, total: stages.append(stage), **stop)
     assert len(tried) == 4
-    assert all(stage.startswith("field stop, ") for stage in stages)
+    assert stages[-1].startswith("field stop, ")
     most[0] = -1
-    again = calibration_of(frames, folder=tmp_path, **stop)
+    again = stop_of(frames, folder=tmp_path, **stop)
     assert len(tried) == len(set(tried)) > 4
     tried.clear()
-    assert calibration_of(frames, **stop).field_stop == again.field_stop
+    assert stop_of(frames, **stop) == again
 
 
 def test_nothing_is_found_where_all_is_stated() -> None:
