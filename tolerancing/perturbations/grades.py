@@ -190,12 +190,39 @@ def _head(lens: Lens, design_name: str, grade: str) -> str:
         "",
         "[sampling]",
         _commented(f"pupil_samples = {samples}", "resolves the wavefront errors of this grade"),
+        _commented(f"plane_distance_mm = {_plane_distance_mm(lens)}", "wavefronts are compared here"),
         "",
         _commented("[scaled_trials]", "yield with all tolerances multiplied"),
         "factors = [0.5, 2.0]",
         "trials = 100",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _plane_distance_mm(lens: Lens) -> float:
+    """Return the distance of the plane on which wavefronts are compared.
+
+    It is the first sensor plane, or a nearer one if the rays of an object point cross in front of it.
+    """
+    first = min(lens.sensor.plane_distances_mm)
+    # A wavefront exists only in front of the caustic, also in a perturbed lens.
+    margin, most_halvings = 1.5, 8
+    for distance in (_number(first * 0.5**k) for k in range(most_halvings)):
+        if not _is_folded(lens, margin * distance):
+            return distance
+    return first
+
+
+def _is_folded(lens: Lens, plane_distance_mm: float, fractions: tuple[float, ...] = FIELD_FRACTIONS) -> bool:
+    """Return whether rays of an object point, at fractions of the half field, cross on a plane."""
+    from wavesim.pupil.characteristic import point_characteristic
+
+    for fraction in fractions:
+        field_mm = (0.0, fraction * lens.half_field_mm)
+        traced = point_characteristic(lens, field_mm, plane_distance_mm=plane_distance_mm, samples=64)
+        if traced.determinant_mm2.min() <= 0.0 < traced.determinant_mm2.max():
+            return True
+    return False
 
 
 def _mounting(lens: Lens, grade: str) -> str:
@@ -411,13 +438,17 @@ def _merits(lens: Lens) -> str:
     patch_resolutions = 100
     patch = min(1e-3 * patch_resolutions * limit.resolution_um, lens.object.field_diameter_mm)
     text = "# Requirements\n"
-    text += _table(
-        "merit",
-        ("kind", "reconstruction_loss", "axis, 0.7 of the half field"),
-        ("patch_mm", _number(patch), f"{patch_resolutions} x wavelength / (2 NA), or the field"),
-        ("field_points_mm", [[0.0, 0.0], [0.0, off_axis]], ""),
-        ("at_most", 0.05, "loss of correlation"),
-    )
+    folded = [z for z in lens.sensor.plane_distances_mm if _is_folded(lens, z, FIELD_FRACTIONS[:2])]
+    if folded:
+        text += f"# No reconstruction_loss: several rays of an object point cross on the plane at {folded[0]:g} mm.\n"
+    else:
+        text += _table(
+            "merit",
+            ("kind", "reconstruction_loss", "axis, 0.7 of the half field"),
+            ("patch_mm", _number(patch), f"{patch_resolutions} x wavelength / (2 NA), or the field"),
+            ("field_points_mm", [[0.0, 0.0], [0.0, off_axis]], ""),
+            ("at_most", 0.05, "loss of correlation"),
+        )
     width = _number(1.5 * limit.resolution_um)
     for location, field in (("axis", [0.0, 0.0]), ("field", [0.0, off_axis])):
         text += _table(

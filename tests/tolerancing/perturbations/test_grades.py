@@ -10,6 +10,7 @@ from places import DESIGNS
 from random_lenses import lenses
 from typer.testing import CliRunner
 
+import lensdesign
 from lensdesign import DesignError, InputError, Lens, load_design
 from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.manufacture.drawing.tolerances import GENERAL
@@ -195,7 +196,8 @@ def test_merits_follow_from_the_design():
     assert merits["fine_contrast_field"]["field_mm"] == [0.0, 1.05]
     assert merits["reconstruction_loss"]["patch_mm"] == pytest.approx(0.0532)
     assert merits["reconstruction_loss"]["field_points_mm"] == [[0.0, 0.0], [0.0, 1.05]]
-    small = {m["kind"]: m for m in read(scaled(lens, 1 / 64), "precision")["merit"]}
+    twin = lensdesign.scaled(lens, 1 / 64)  # its sensor planes are nearer as well
+    small = {m["kind"]: m for m in read(twin, "precision")["merit"]}
     assert small["reconstruction_loss"]["patch_mm"] == pytest.approx(3.0 / 64, rel=1e-3)
     assert merits["largest_spread_deg"]["at_most"] == pytest.approx(1.02 * 4.7682, rel=1e-3)
     wide = lens.replaced(sensor=lens.sensor.replaced(pixel_pitch_um=6.4))
@@ -268,6 +270,33 @@ def test_a_calibrated_study_adapts_what_its_mount_leaves(grade):
     limits = {one.column: one.limit for one in calibrated.compensators}
     mount = {p.column: p.tolerance for p in calibrated.perturbations if p.target == "lens"}
     assert limits == {column: pytest.approx(2.0 * tolerance) for column, tolerance in mount.items()}
+
+
+@pytest.mark.parametrize("name", ["phone_lens", "single_complex", "single_phase"])
+def test_starting_studies_of_short_cameras_compare_wavefronts_before_the_caustic(name):
+    from tolerancing.study.evaluate import context_of
+
+    lens = load_design(DESIGNS / f"{name}.toml")
+    study = study_from_tables(read(lens, "high_precision"), "here")
+    assert 0.0 < study.sampling.plane_distance_mm <= min(lens.sensor.plane_distances_mm)
+    context = context_of(lens, study)
+    for field_mm in ((0.0, 0.0), (0.0, lens.half_field_mm)):
+        determinants = context.sampler(field_mm, lens.wavelengths_um[0]).nominal.determinant_mm2
+        assert determinants.min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("phone_lens", True), ("single_complex", False), ("single_phase", False)]
+)
+def test_starting_studies_judge_losses_only_where_rays_do_not_cross(name, expected):
+    lens = load_design(DESIGNS / f"{name}.toml")
+    kinds = {merit["kind"] for merit in read(lens, "precision")["merit"]}
+    assert ("reconstruction_loss" in kinds) == expected
+    assert {"line_pair_contrast", "rms_waves"} <= kinds
+
+
+def test_starting_studies_compare_wavefronts_on_the_first_plane():
+    assert read(paper(), "precision")["sampling"]["plane_distance_mm"] == 2.0
 
 
 def test_starting_studies_are_calibrated_unless_asked_otherwise(tmp_path):
