@@ -96,8 +96,10 @@ class ProgressCount:
             left = ""
             if made and total is not None:
                 left = f", about {(now() - self._began) / made * (total - done):.0f} s more"
-            count = f"{done}" if total is None else f"{done} of {total}"
-            self._lines.update(f"{count}{left}; {what}")
+            count = "" if not done else f": {done}"
+            if total is not None:
+                count = f": {done} of {total}"
+            self._lines.update(f"{what}{count}{left}")
 
 
 @contextmanager

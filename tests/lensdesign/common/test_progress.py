@@ -28,14 +28,21 @@ def test_counts_are_printed_with_and_without_a_total(
             count.advance(2, 10, "trials")
             wait()  # type: ignore[operator]
 
-    assert "5 of 10" in lines_of(monkeypatch, capsys, show)[-1]
+    assert "s: trials: 5 of 10" in lines_of(monkeypatch, capsys, show)[-1]
 
     def without(wait: object) -> None:
         with progress_count("lenses") as count:
             count.advance(7, None, "lenses")
             wait()  # type: ignore[operator]
 
-    assert lines_of(monkeypatch, capsys, without)[-1].endswith("s: 7; lenses")
+    assert lines_of(monkeypatch, capsys, without)[-1].endswith("s: lenses: 7")
+
+    def not_counted(wait: object) -> None:
+        with progress_count("starting") as count:
+            count.update(0, None, "effect of each distance")
+            wait()  # type: ignore[operator]
+
+    assert lines_of(monkeypatch, capsys, not_counted)[-1].endswith("s: effect of each distance")
 
 
 def test_texts_are_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -64,4 +71,4 @@ def test_the_remaining_time_is_that_of_the_stage(
             wait()  # type: ignore[operator]
 
     last = lines_of(monkeypatch, capsys, show)[-1]
-    assert "2 of 20, about 180 s more; standard deviations" in last
+    assert "standard deviations: 2 of 20, about 180 s more" in last
