@@ -346,14 +346,32 @@ class _Picture(Flowable):
 
 
 def _code(block: Code) -> list[Flowable]:
-    """Return lines of code unchanged, in two columns if there are more than 20."""
+    """Return lines of code, in two columns if there are more than 20. Lines that are too long are wrapped."""
     text = plain(block.text).expandtabs(4)
     columns = 2 if text.count("\n") > 20 else 1
     line_characters = 112  # Width of the page in characters of the code font.
     lines: list[str] = []
     for line in text.splitlines():
-        lines += textwrap.wrap(line, line_characters // columns - 1, drop_whitespace=False) or [""]
+        lines += wrapped_code(line, line_characters // columns - 1)
     return [_Lines(tuple(lines), columns), Spacer(1, 3 * mm)]
+
+
+def wrapped_code(line: str, width: int) -> list[str]:
+    """Return a line of code in lines of at most a width.
+
+    A comment behind the code that does not fit is moved in front of it, and stays a comment when it continues.
+    """
+    if len(line) <= width:
+        return [line]
+    code, separator, comment = line.rpartition("  # ")
+    if separator and code.count('"') % 2 == 0:
+        code = code.rstrip()
+        if len(code) + len(separator) + len(comment) <= width:
+            return [f"{code}{separator}{comment}"]
+        return [*wrapped_code(f"# {comment}", width), *wrapped_code(code, width)]
+    if line.startswith("#"):
+        return textwrap.wrap(line, width, subsequent_indent="# ")
+    return textwrap.wrap(line, width, drop_whitespace=False) or [""]
 
 
 class _Lines(Flowable):

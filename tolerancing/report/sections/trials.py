@@ -123,7 +123,7 @@ def scale_section(data: ReportData) -> list[Block]:
             f"the model, and miss their limits. Cross-validated R²: {joined(qualities)}."
         )
     if unmodelled:
-        text.append(f"Without a line of a model: {joined(unmodelled)}.")
+        text.append(f"Merits without a line of a model: {'; '.join(unmodelled)}.")
     if len(points[ALL_LIMITS]) == 1:
         text.append(
             "The store holds no trials at other factors; a table [scaled_trials] of the study adds them."
@@ -198,7 +198,7 @@ def _sample(count: int) -> slice:
 def _models(data: ReportData) -> tuple[dict[str, Response], list[str]]:
     """Return the models by merit, and the reasons why other merits have none."""
     models: dict[str, Response] = {}
-    unmodelled: list[str] = []
+    too_few, too_little = list[str](), list[str]()
     # What a model leaves grows with a power of the factor that is not known, so it must be small.
     smallest_r_squared = 0.95
     chosen = _sample(len(data.results))
@@ -206,14 +206,15 @@ def _models(data: ReportData) -> tuple[dict[str, Response], list[str]]:
         try:
             model = fit_response(data.results.values[chosen], data.results.scores[chosen, k : k + 1])
         except InputError:
-            unmodelled.append(f"{merit.column}, which has too few scores for a model")
+            too_few.append(merit.column)
             continue
         quality = float(model.cross_validated_r_squared[0])
         if quality >= smallest_r_squared:
             models[merit.label] = model
         else:
-            unmodelled.append(f"{merit.column}, whose model explains too little (R² {quality:.2f})")
-    return models, unmodelled
+            too_little.append(f"{merit.column} (R² {quality:.2f})")
+    reasons = {"too few scores for a model": too_few, "a model explains too little": too_little}
+    return models, [f"{joined(labels)} ({reason})" for reason, labels in reasons.items() if labels]
 
 
 def scatter_section(data: ReportData) -> list[Block]:
