@@ -359,7 +359,7 @@ def _code(block: Code) -> list[Flowable]:
 def wrapped_code(line: str, width: int) -> list[str]:
     """Return a line of code in lines of at most a width.
 
-    A comment behind the code that does not fit is moved in front of it, and stays a comment when it continues.
+    A comment behind the code that does not fit is moved in front of it. What continues it is a comment, too.
     """
     if len(line) <= width:
         return [line]
