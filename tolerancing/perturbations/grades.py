@@ -440,7 +440,7 @@ def _merits(lens: Lens) -> str:
     text = "# Requirements\n"
     folded = [z for z in lens.sensor.plane_distances_mm if _is_folded(lens, z, FIELD_FRACTIONS[:2])]
     if folded:
-        text += f"# No reconstruction_loss: on the plane at {folded[0]:g} mm, rays of an object point cross.\n"
+        text += f"# No reconstruction_loss: rays of an object point cross on the plane at {folded[0]:g} mm.\n"
     else:
         text += _table(
             "merit",
