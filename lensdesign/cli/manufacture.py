@@ -240,6 +240,8 @@ def drawing(
             values |= {
                 "study_yield": None if predicted_yield is None else predicted_yield.study_yield,
                 "as_drawn_yield": None if predicted_yield is None else predicted_yield.as_drawn_yield,
+                "study_interval": None if predicted_yield is None else predicted_yield.study_interval,
+                "as_drawn_interval": None if predicted_yield is None else predicted_yield.as_drawn_interval,
             }
         print_json(values)
     else:

@@ -145,9 +145,12 @@ class DrawingYieldPredictor:
             title = f"{self.study.title or self.source}: as drawn"
             save_study(as_drawn.study.model_copy(update={"title": title, "design": design}), path)
 
+        by_study, as_drawn_yield = (own.joint, found.joint) if own.joint and found.joint else (None, None)
         return DrawingYield(
-            own.yield_fraction if found.joint else None,
-            found.yield_fraction if own.joint else None,
+            None if by_study is None else by_study.fraction,
+            None if as_drawn_yield is None else as_drawn_yield.fraction,
+            None if by_study is None else (by_study.low, by_study.high),
+            None if as_drawn_yield is None else (as_drawn_yield.low, as_drawn_yield.high),
             loss,
             tuple(losses),
             own.is_trustworthy and found.is_trustworthy,

@@ -49,6 +49,8 @@ class DrawingYield:
     study_yield, as_drawn_yield
         Yield (0 to 1) of the designed lens with the tolerances of the study, and of the drawn lens with
         those of the drawing; None if not every limit of the study can be predicted.
+    study_interval, as_drawn_interval
+        95 % intervals of these yields (0 to 1); None without a yield.
     loss
         Loss of yield by the drawing, in comparison with the study. Where the yield is not predicted, or its
         difference is within its interval, it is the loss within the limits on wavefronts and rays.
@@ -65,6 +67,8 @@ class DrawingYield:
 
     study_yield: float | None
     as_drawn_yield: float | None
+    study_interval: tuple[float, float] | None
+    as_drawn_interval: tuple[float, float] | None
     loss: float
     losses: tuple[tuple[str, float], ...]
     is_trustworthy: bool
@@ -74,17 +78,23 @@ class DrawingYield:
     @property
     def sentence(self) -> str:
         """Yields with all tolerances of the drawing and of the study, in words."""
-        if self.study_yield is None or self.as_drawn_yield is None:
+        as_drawn = _with_interval(self.as_drawn_yield, self.as_drawn_interval)
+        by_study = _with_interval(self.study_yield, self.study_interval)
+        if not (as_drawn and by_study):
             return f"yield with all tolerances of this drawing not predicted: {self.reason}"
-        return (
-            f"predicted yield with all tolerances of this drawing {100.0 * self.as_drawn_yield:.1f} %, "
-            f"by the study {100.0 * self.study_yield:.1f} %"
-        )
+        return f"predicted yield with all tolerances of this drawing {as_drawn}, by the study {by_study}"
 
     @property
     def worst(self) -> str:
         """The four indications that cost most yield, in words."""
         return ", ".join(f"{text}: {100.0 * loss:.1f} percentage points" for text, loss in self.losses[:4])
+
+
+def _with_interval(fraction: float | None, interval: tuple[float, float] | None) -> str:
+    """Return a yield with its 95 % interval in percent; an empty text without a yield."""
+    if fraction is None or interval is None:
+        return ""
+    return f"{100.0 * fraction:.1f} % ({100.0 * interval[0]:.1f} to {100.0 * interval[1]:.1f} %)"
 
 
 class YieldPredictor(Protocol):

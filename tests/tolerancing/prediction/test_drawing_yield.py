@@ -48,6 +48,16 @@ def test_general_tolerances_cost_most_of_the_yield(loaded: LoadedStudy, general)
     assert predicted_yield is not None
     assert predicted_yield.study_yield == predict_study(loaded.lens, loaded.study).yield_fraction > 0.98
     assert predicted_yield.as_drawn_yield < 0.5
+    for fraction, interval in (
+        (predicted_yield.study_yield, predicted_yield.study_interval),
+        (predicted_yield.as_drawn_yield, predicted_yield.as_drawn_interval),
+    ):
+        low, high = interval
+        assert low < fraction < high
+        assert (
+            f"{100.0 * fraction:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
+            in predicted_yield.sentence
+        )
     worst = [text for text, _ in predicted_yield.losses[:3]]
     assert "centring of surface 1 (±20′)" in worst
     assert "points" in predicted_yield.worst
