@@ -17,6 +17,7 @@ SCRIPTS = (
     "q_type_yield",
     "wavefronts",
     "budgets",
+    "starter_studies",
     "monte_carlo_speed",
     "optimizer",
     "limits",
