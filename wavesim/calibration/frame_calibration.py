@@ -628,10 +628,10 @@ def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated
         model.scale = LinearModel(model, np.asarray(known.values), True).scale
     nothing = np.zeros(0, np.intp)
     residuals = [
-        PlaneResidual(
-            plane.distance_mm, plane.amplitude, sigma, modelled - plane.amplitude, nothing, np.zeros(0)
+        PlaneResidual(distance_mm, plane.amplitude, sigma, modelled - plane.amplitude, nothing, np.zeros(0))
+        for distance_mm, plane, modelled in zip(
+            problem.framed.planes_mm, planes, model.amplitudes(np.asarray(known.values)), strict=True
         )
-        for plane, modelled in zip(planes, model.amplitudes(np.asarray(known.values)), strict=True)
         if (sigma := plane.sigma) is not None
     ]
     return replace(found, verdict=verdict(residuals) if residuals else None)

@@ -176,8 +176,10 @@ class GoodnessOfFit:
     ----------
     explained : bool
         True if residuals are within the noise on each plane and on held-out pixels, without other findings.
-    over_noise, held_out_over_noise : float
-        Largest values of all planes.
+    over_noise : float
+        Largest value of all planes.
+    held_out_over_noise : float or None
+        The same on pixels that were held out; None if none were.
     worst_plane : int
         Index of the plane with the largest excess.
     planes : tuple of PlaneFit
@@ -207,7 +209,7 @@ class GoodnessOfFit:
 
     explained: bool
     over_noise: float
-    held_out_over_noise: float
+    held_out_over_noise: float | None
     worst_plane: int
     planes: tuple[PlaneFit, ...]
     cause: str
@@ -249,8 +251,9 @@ class GoodnessOfFit:
     @property
     def words(self) -> str:
         """Verdict in a few sentences."""
-        held = f"{self.held_out_over_noise:.3g} times on pixels that were held out"
-        size = f"residuals {self.over_noise:.3g} times the noise, {held}"
+        size = f"residuals {self.over_noise:.3g} times the noise"
+        if self.held_out_over_noise is not None:
+            size += f", {self.held_out_over_noise:.3g} times on pixels that were held out"
         if not self.judged:
             return f"not judged: {self.evidence}; {size}. Next: {self.next_step}"
         if self.explained:
@@ -420,7 +423,7 @@ def verdict(
     return GoodnessOfFit(
         within and not against,
         max(plane.over_noise or 0.0 for plane in judged),
-        max(plane.held_out_over_noise or 0.0 for plane in judged),
+        max((one.held_out_over_noise for one in judged if one.held_out_over_noise is not None), default=None),
         int(np.argmax(excess)),
         tuple(judged),
         cause,

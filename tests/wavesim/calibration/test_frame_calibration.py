@@ -81,6 +81,15 @@ def test_frames_without_an_object_tell_the_light(measured: Calibrated) -> None:
     assert by_name["light_tilt_y_deg"] == pytest.approx(-0.3, rel=0.05)
 
 
+def test_a_verdict_on_a_known_object_names_planes_and_no_held_out_pixels(
+    measured: Calibrated, empty: tuple[Frame, ...]
+) -> None:
+    assert measured.verdict is not None
+    stated = sorted({frame.settings.plane_distance_mm for frame in empty})
+    assert [plane.distance_mm for plane in measured.verdict.planes] == stated
+    assert measured.verdict.held_out_over_noise is None
+
+
 def test_their_light_holds_while_the_rest_is_sought(
     lens: Lens, empty: tuple[Frame, ...], star: tuple[Frame, ...], measured: Calibrated, tmp_path: Path
 ) -> None:

@@ -116,6 +116,15 @@ def test_engine_and_pixels_may_err_where_there_is_no_noise() -> None:
     assert not verdict([quiet._replace(error=np.full(SHAPE, 0.02))]).explained
 
 
+def test_residuals_without_held_out_pixels_state_no_ratio_on_them() -> None:
+    none_held = plane()._replace(held=np.zeros(0, np.intp), held_sigma=np.zeros(0))
+    found = verdict([none_held, none_held])
+    assert found.held_out_over_noise is None
+    assert found.as_dict()["held_out_over_noise"] is None
+    assert "0 times" not in found.words
+    assert verdict([none_held, plane()]).held_out_over_noise == pytest.approx(1.0, abs=0.2)
+
+
 def test_a_plane_that_was_held_out_altogether_is_judged_by_its_pixels() -> None:
     one = plane()
     every = np.arange(one.error.size)
