@@ -99,6 +99,11 @@ class StudyBudget:
         return self.verified.low <= self.required <= self.verified.high and abs(excess) <= close
 
     @property
+    def is_precise(self) -> bool:
+        """True if the standard error of the estimated yield is at most half a percentage point."""
+        return self.estimated_yield_error is not None and self.estimated_yield_error <= 0.005
+
+    @property
     def at_widest(self) -> bool:
         """True if every tolerance has its largest allowed value."""
         return bool(np.all((self.budget.scales >= SCALES[1]) | (self.budget.scales == 1.0)))
@@ -202,9 +207,9 @@ def budget_of_study(
     1. A search on a score model of all merits (:mod:`tolerancing.budgets.score_model`) finds the scales of
        least cost for which the required fraction of its lenses is good.
     2. Random trials of the lens itself, with a seed other than the study's, verify the result.
-    3. If they disagree with the requirement, the difference between the yields of lens and model on the same
-       trials corrects the target, and the trials improve the response surfaces. Both steps are repeated with
-       another seed. If a response surface is still inaccurate after two rounds, a common factor of the
+    3. If they disagree with the requirement, or leave the yield uncertain by more than half a percentage point
+       (standard error), the difference between the yields of lens and model on the same trials corrects the
+       target, and the trials improve the response surfaces. Both steps are repeated with another seed. If a response surface is still inaccurate after two rounds, a common factor of the
        tolerances is found from the yields of trials alone (regula falsi in probit(yield) over the logarithm
        of the factor).
 
@@ -291,7 +296,7 @@ class _Rounds:
                 else:
                     candidate = self.search(model)
                 found = self.verify(model, candidate, self.study.seed + 1 + index)
-                if found.agrees:
+                if found.agrees and found.is_precise:
                     break
                 if model.not_predicted:
                     values = np.concatenate([values, self.verifications[-1].batch.values])

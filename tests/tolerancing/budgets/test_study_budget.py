@@ -83,7 +83,18 @@ def test_merits_that_are_not_predicted_follow_from_the_trials(write_study, ray_s
     text = text.replace("pupil_samples = 64", "pupil_samples = 32")
     loaded = load_study(write_study(text))
     trials = score_trials(context_of(loaded.lens, loaded.study), loaded.study, range(120))
-    found = budget_of_study(loaded.lens, loaded.study, trials.values, trials.scores, 0.8, fresh=200)
+    counted = []
+    found = budget_of_study(
+        loaded.lens,
+        loaded.study,
+        trials.values,
+        trials.scores,
+        0.8,
+        fresh=100,
+        progress=lambda completed, most: counted.append(completed),
+    )
+    # Rounds go on until the yield is known well enough, or there are no more of them.
+    assert found.estimated_yield_error <= 0.005 or counted[-1] == most_trials(100)
     assert found.verified.low <= 0.8 <= found.verified.high
 
 
