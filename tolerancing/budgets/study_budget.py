@@ -207,9 +207,10 @@ def budget_of_study(
     1. A search on a score model of all merits (:mod:`tolerancing.budgets.score_model`) finds the scales of
        least cost for which the required fraction of its lenses is good.
     2. Random trials of the lens itself, with a seed other than the study's, verify the result.
-    3. If they disagree with the requirement, or leave the yield uncertain by more than half a percentage point
-       (standard error), the difference between the yields of lens and model on the same trials corrects the
-       target, and the trials improve the response surfaces. Both steps are repeated with another seed. If a response surface is still inaccurate after two rounds, a common factor of the
+    3. If they disagree with the requirement, or leave the yield uncertain by a standard error of more than
+       half a percentage point, the difference between the yields of lens and model on the same trials
+       corrects the target, and the trials improve the response surfaces. Both steps are repeated with
+       another seed. If a response surface is still inaccurate after two rounds, a common factor of the
        tolerances is found from the yields of trials alone (regula falsi in probit(yield) over the logarithm
        of the factor).
 
