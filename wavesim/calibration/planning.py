@@ -37,6 +37,7 @@ from lensdesign.lens.scaling import scaled
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.metrics.result_quality import truth_metrics
+from wavesim.metrics.similarity import LEAST_SAMPLES
 from wavesim.reconstruction.diagnostics.held_out import hold_out
 from wavesim.reconstruction.growing_aperture import with_growing_aperture
 from wavesim.reconstruction.information import Information, WhitenedJacobian, information_of
@@ -45,7 +46,7 @@ from wavesim.reconstruction.oversampling import measured_oversampling
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
-from wavesim.scene.settings import ITERATIONS, Kind, PatchSettings, PlanSettings
+from wavesim.scene.settings import ITERATIONS, Kind, PatchSettings, PlanSettings, SettingError
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.imaging import image
@@ -594,6 +595,13 @@ def _small_bench(
     twin = _twin(lens, patch, settings, far_mm, most_pixels)
     small_lens = lens if twin.scale == 1.0 else scaled(lens, twin.scale)
     small = object_patch(small_lens, twin.patch_mm, wavelength_um=settings.wavelength_um)
+    samples = min(small.grid.shape)
+    if samples < LEAST_SAMPLES:
+        nearer = "" if twin.scale == 1.0 else ", or nearer planes ({planes_mm})"
+        raise SettingError(
+            f"{{patch_mm}} = {patch.field_stop_mm:g}: gives {samples} x {samples} samples in the simulation, "
+            f"and a prediction needs {LEAST_SAMPLES} x {LEAST_SAMPLES}; use a larger patch{nearer}"
+        )
     return _SmallBench(twin, small_lens, small)
 
 
@@ -647,8 +655,20 @@ class Trial(NamedTuple):
     engine_error: float
 
     def recorded(self, planes_mm: tuple[float, ...], exposures: tuple[float, ...]) -> list[Measurement]:
-        """Return the measurements on planes with exposures."""
-        return recorded_planes([self.frames[key] for key in product(planes_mm, exposures)])
+        """Return the measurements on planes with exposures.
+
+        Raises
+        ------
+        SettingError
+            If they contain no light.
+        """
+        recorded = recorded_planes([self.frames[key] for key in product(planes_mm, exposures)])
+        if not any(np.any(plane.amplitude[np.isfinite(plane.sigma)] > 0.0) for plane in recorded):
+            raise SettingError(
+                "{full_well_electrons}, {read_noise_electrons}, {bits}: the frames of this sensor contain no "
+                "light beyond their noise; state a larger full well, less noise or more bits"
+            )
+        return recorded
 
     def outcome(self, kind: Kind, recorded: Sequence[Measurement], thorough: bool = False) -> Outcome:
         """Return the result from measurements; a thorough search leaves local minima."""

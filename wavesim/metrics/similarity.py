@@ -21,6 +21,9 @@ from wavesim.runtime.threads import row_blocks
 Picture = NDArray[Any]
 Mask = NDArray[np.bool_]
 
+LEAST_SAMPLES = 11
+"""Least number of samples along each side of pictures whose structural similarity is defined."""
+
 
 def psnr_db(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
     """Return the peak signal-to-noise ratio in dB: full scale over the root mean square difference.
@@ -76,8 +79,11 @@ def ssim(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Ma
     from skimage.metrics import structural_similarity
 
     a, b, inside = _pair(found, truth, full_scale, support)
-    if a.ndim != 2 or min(a.shape) < 11:
-        raise InputError(f"ssim of pictures of shape {a.shape}: must be planes of at least 11 x 11 samples")
+    if a.ndim != 2 or min(a.shape) < LEAST_SAMPLES:
+        raise InputError(
+            f"ssim of pictures of shape {a.shape}: must be planes of at least {LEAST_SAMPLES} x "
+            f"{LEAST_SAMPLES} samples"
+        )
     total = 0.0
     # Samples that a window of the structural similarity reaches to either side.
     ssim_reach = 5

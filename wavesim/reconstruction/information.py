@@ -131,8 +131,9 @@ class WhitenedJacobian:
         roots = np.sqrt(np.stack(weights))
         sigma = np.stack([np.asarray(plane.sigma) for plane in recorded])
         # The linear model returns root of the weight times amplitude over its size.
+        known = roots > 0.0  # the deviation of other pixels is infinite
         self._whitening = np.divide(
-            self.linear.size, roots * sigma, out=np.zeros(roots.shape), where=roots > 0.0
+            self.linear.size, roots * np.where(known, sigma, 1.0), out=np.zeros(roots.shape), where=known
         ).astype(np.float32)
         lens, grid = engine.scene.lens, engine.scene.object_grid
         cutoff = 1e3 * lens.object.numerical_aperture / engine.scene.wavelength_um

@@ -222,6 +222,11 @@ def test_the_fewest_frames_that_are_enough_are_recommended() -> None:
         ({"correlation": 1.0}, "correlation"),
         ({"exposures": (0.0, 1.0)}, r"exposures.* 0"),
         ({"patch_mm": 9.0}, "patch"),
+        ({"patch_mm": 1e-6}, "patch_mm = 1e-06: gives"),
+        ({"patch_mm": 0.001}, "patch_mm = 0.001: gives"),
+        ({"patch_mm": 0.01, "planes_mm": (1e8, 1e9)}, "or nearer planes"),
+        ({"patch_mm": 0.01, "read_noise_electrons": 1e6}, "no light beyond their noise"),
+        ({"patch_mm": 0.01, "bits": 1, "exposures": (1.0,)}, "no light beyond their noise"),
     ],
 )
 def test_refused(changes: dict, message: str) -> None:

@@ -104,6 +104,16 @@ def test_bounds_hold_the_error_of_a_dense_matrix(kind: Kind, exposures: tuple[fl
     assert np.sum(values**2 / (1 + values**2)) == pytest.approx(len(numbers) - np.trace(posterior), rel=1e-3)
 
 
+def test_saturated_pixels_tell_nothing() -> None:
+    with np.errstate(invalid="raise"):
+        found = jacobian("complex", (1e6,))
+    unknown = np.isinf(np.stack([plane.sigma for plane in found.linear.model.recorded]))
+    changes = found.forward(np.ones(found.inside.shape, complex))
+    assert unknown.any()
+    assert not changes[unknown].any()
+    assert np.isfinite(changes).all()
+
+
 def test_more_light_determines_more() -> None:
     dim, bright = (information_of(jacobian("complex", one)) for one in ((1.0,), (1.0, 30.0, 1000.0)))
     assert bright.determined > dim.determined
