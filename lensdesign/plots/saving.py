@@ -11,6 +11,9 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+MOST_DOTS = 32_000
+"""Largest number of dots along a side. Matplotlib draws up to 65,535, many programs show up to 32,767."""
+
 
 def save_figure(
     figure: Figure, path: Path | IO[bytes], form: str, dots_per_inch: int, **options: Any
@@ -28,20 +31,21 @@ def save_figure(
     form
         Format: "png", or another format of Matplotlib.
     dots_per_inch
-        Resolution of raster formats.
+        Resolution of raster formats. Figures with very many panels have a lower one, for `MOST_DOTS`.
     **options
         Options of ``savefig`` for formats other than PNG.
     """
+    resolution = min(float(dots_per_inch), (MOST_DOTS - 1) / float(max(figure.get_size_inches())))
     if form != "png":
         with styled():  # Ticks take their style when they are drawn.
-            figure.savefig(path, format=form, dpi=dots_per_inch, **options)
+            figure.savefig(path, format=form, dpi=resolution, **options)
         return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
     previous_dpi, layout = figure.dpi, figure.get_layout_engine()
     try:
-        figure.dpi = dots_per_inch
+        figure.dpi = resolution
         agg = FigureCanvasAgg(figure)
         with styled():
             if layout is not None:
@@ -53,4 +57,4 @@ def save_figure(
         figure.dpi = previous_dpi
         figure.set_layout_engine(layout)
     # A higher compression level takes twice as long and hardly reduces the size.
-    picture.save(path, "PNG", compress_level=3, dpi=(dots_per_inch, dots_per_inch))
+    picture.save(path, "PNG", compress_level=3, dpi=(resolution, resolution))

@@ -663,7 +663,11 @@ class Trial(NamedTuple):
             If they contain no light.
         """
         recorded = recorded_planes([self.frames[key] for key in product(planes_mm, exposures)])
-        if not any(np.any(plane.amplitude[np.isfinite(plane.sigma)] > 0.0) for plane in recorded):
+        if all(
+            not np.any(plane.amplitude[np.isfinite(plane.sigma)])
+            for plane in recorded
+            if plane.sigma is not None
+        ):
             raise SettingError(
                 "{full_well_electrons}, {read_noise_electrons}, {bits}: the frames of this sensor contain no "
                 "light beyond their noise; state a larger full well, less noise or more bits"

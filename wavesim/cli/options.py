@@ -6,7 +6,7 @@ import inspect
 import math
 import types
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -206,7 +206,7 @@ def _value(kinds: list[Any], text: Any, option: str) -> Any:
         inner = get_args(pairs[0])
         return tuple(numbers(text, option, None if inner[-1] is ... else len(inner)))
     if words and float in kinds:
-        return numbers(text, option, 1)[0]
+        return numbers(text, option, 1, words)[0]
     return text
 
 
@@ -232,8 +232,17 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def numbers(text: str, option: str, count: int | None = None) -> list[float]:
+def numbers(text: str, option: str, count: int | None = None, words: Sequence[str] = ()) -> list[float]:
     """Return the numbers of an option, which are separated by commas.
+
+    Parameters
+    ----------
+    text, option
+        Value and name of the option.
+    count
+        How many numbers there must be; default: one or more.
+    words
+        Words that the option allows instead, for the message.
 
     Raises
     ------
@@ -245,8 +254,10 @@ def numbers(text: str, option: str, count: int | None = None) -> list[float]:
     except ValueError:
         values = []
     if not values or not all(map(math.isfinite, values)) or (count is not None and len(values) != count):
-        wanted = "numbers" if count is None else f"{count} numbers"
-        raise InputError(f"{option} = {text!r}: must be {wanted}, separated by commas")
+        wanted = f"{'' if count is None else f'{count} '}numbers, separated by commas"
+        if count == 1:
+            wanted = " or ".join(("a finite number", *words))
+        raise InputError(f"{option} = {text!r}: must be {wanted}")
     return values
 
 

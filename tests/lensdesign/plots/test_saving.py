@@ -57,3 +57,12 @@ def test_a_figure_is_left_as_it_was() -> None:
 def test_other_forms_are_those_of_matplotlib(form: str, tmp_path: Path) -> None:
     save_figure(figure("constrained"), tmp_path / "file", form, 60)
     assert (tmp_path / "file").read_bytes()[:5] == {"svg": b"<?xml", "pdf": b"%PDF-"}[form]
+
+
+@pytest.mark.parametrize("form", ["png", "jpg"])
+def test_a_figure_with_very_many_panels_has_fewer_dots_per_inch(form: str) -> None:
+    file = BytesIO()
+    save_figure(Figure(figsize=(2.0, 900.0)), file, form, 180)
+    width, height = Image.open(file).size
+    assert 31_900 < height <= 32_000
+    assert width == pytest.approx(height / 450, abs=1)
