@@ -19,7 +19,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.budgets.loss_surface import FITTED_LENSES, fit_loss_surface
-from tolerancing.merits.base import Merit
+from tolerancing.merits.base import Merit, all_passed
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import RmsWaves, Strehl
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
@@ -44,8 +44,8 @@ FITTED_SCALES = (0.25, 1.2)
 """Range of the common scale of the deviations of lenses to which losses are fitted."""
 
 POOR_FIT, SELDOM = 0.5, 0.01
-"""A response surface that explains less of the variance of new trials is poor; merits that fewer trials miss
-need none that is better."""
+"""A response surface that explains less of the variance of new trials is poor; merits that fewer
+trials miss, among those that keep all predicted limits, need none that is better."""
 
 
 class _MeritModel(Protocol):
@@ -196,11 +196,16 @@ class StudyScoreModel:
         return tuple(self.study.merits[k] for k in self.not_predicted)
 
     def _check_fit(self, scores: Array) -> None:
-        """Refuse a model that is poor for a merit that decides whether lenses are good."""
+        """Refuse a model that is poor for a merit that decides whether lenses are good.
+
+        Lenses that miss a predicted limit as well do not need it.
+        """
         assert self._response is not None
+        predicted = [k for k in range(len(self.study.merits)) if k not in self.not_predicted]
+        kept = all_passed([self.study.merits[k] for k in predicted], scores[:, predicted])
         explained = self._response.cross_validated_r_squared
         for k, merit, r_squared in zip(self.not_predicted, self._responding, explained, strict=True):
-            missed = 1.0 - float(np.mean(merit.passed(scores[:, k])))
+            missed = float(np.mean(kept & ~merit.passed(scores[:, k])))
             if missed > SELDOM and r_squared < POOR_FIT:
                 raise InputError(
                     f"merit {merit.label!r}: the model fitted to {len(scores)} trials explains "
