@@ -40,8 +40,22 @@ from tolerancing.study.study import Study
 PROBES, PROBE_SCALES, EXTREME_RAYS = 512, (0.5, 1.0, 2.0), 3
 """Number of probe lenses, scales of their deviations, and number of longest rays retained for each probe."""
 
-FITTED_SCALES = (0.25, 1.2)
-"""Range of the common scale of the deviations of lenses to which losses are fitted."""
+
+@dataclass(frozen=True)
+class _Region:
+    """Factors of the deviations of lenses to which losses are fitted.
+
+    The common factor is between `low` and `high`. Each tolerance has another one, whose logarithm has the
+    standard deviation `own_spread`.
+    """
+
+    low: float
+    high: float
+    own_spread: float
+
+
+AROUND_STUDY, AROUND_BUDGET = _Region(0.25, 1.2, 0.5), _Region(0.7, 1.4, 0.2)
+"""Regions about the tolerances of the study, and about those that a search has found."""
 
 POOR_FIT, SELDOM = 0.5, 0.01
 """A response surface that explains less of the variance of new trials is poor; merits that fewer
@@ -150,7 +164,7 @@ class StudyScoreModel:
     """
 
     def __init__(self, lens: Lens, study: Study, values: Array, scores: Array) -> None:
-        self.study = study
+        self.study, self._lens = study, lens
         self._centre = np.array(
             [0.0 if p.is_irregularity else p.distribution.centre for p in study.perturbations]
         )
@@ -162,14 +176,17 @@ class StudyScoreModel:
         self._deviations = amounts_of(self.batch) - self._base
         self._of_change = np.repeat(np.arange(len(columns)), [own.stop - own.start for own in columns])
         probes = [self._base + scale * self._deviations[:PROBES] for scale in PROBE_SCALES]
-        self._merit_models = _merit_models(lens, study, np.concatenate(probes), self._fitted_amounts)
+        fitted = self._fitted_amounts(np.ones(len(columns)), AROUND_STUDY)
+        self._merit_models = _merit_models(lens, study, np.concatenate(probes), fitted)
         self.not_predicted = [k for k, own in enumerate(self._merit_models) if own is None]
         self._response: Response | None = None
         self._residuals = np.zeros((1, len(self.not_predicted)))
         self._sizes = np.ones((1, len(self.not_predicted)))
+        self._is_omitted = np.zeros(len(self.not_predicted), bool)
         if self.not_predicted:
             self.fit(values, scores)
-            self._check_fit(scores)
+            # A search without them comes to tolerances at which they may matter less, and be smoother.
+            self._is_omitted = self._is_poor(scores)
 
     def fit(self, values: Array, scores: Array) -> None:
         """Fit the response surfaces of the merits that are not predicted to trials.
@@ -195,36 +212,58 @@ class StudyScoreModel:
     def _responding(self) -> tuple[Merit, ...]:
         return tuple(self.study.merits[k] for k in self.not_predicted)
 
-    def _check_fit(self, scores: Array) -> None:
-        """Refuse a model that is poor for a merit that decides whether lenses are good.
+    def check_fit(self, scores: Array) -> None:
+        """Refuse a model that is poor for a merit that decides whether the lenses of trials are good.
 
-        Lenses that miss a predicted limit as well do not need it.
+        Raises
+        ------
+        InputError
+            If there is such a merit.
         """
-        assert self._response is not None
-        predicted = [k for k in range(len(self.study.merits)) if k not in self.not_predicted]
-        kept = all_passed([self.study.merits[k] for k in predicted], scores[:, predicted])
-        explained = self._response.cross_validated_r_squared
-        for k, merit, r_squared in zip(self.not_predicted, self._responding, explained, strict=True):
-            missed = float(np.mean(kept & ~merit.passed(scores[:, k])))
-            if missed > SELDOM and r_squared < POOR_FIT:
+        assert self._response is not None  # there are merits that are not predicted
+        is_poor, explained = self._is_poor(scores), self._response.cross_validated_r_squared
+        for merit, poor, r_squared in zip(self._responding, is_poor, explained, strict=True):
+            if poor:
                 raise InputError(
-                    f"merit {merit.label!r}: the model fitted to {len(scores)} trials explains "
+                    f"merit {merit.label!r}: the model fitted to {len(self._residuals)} trials explains "
                     f"{max(r_squared, 0.0):.0%} of its variance (needed: {POOR_FIT:.0%}), "
                     "so tolerances found by it would not be the cheapest; run more trials into the "
                     "store (tolerancing run --trials), or begin from a study whose tolerances are closer to "
                     "the yield"
                 )
+        self._is_omitted &= explained < POOR_FIT
 
-    @property
-    def _fitted_amounts(self) -> Array:
-        """Lenses to which losses are fitted: each tolerance is scaled by a common and an own factor."""
+    def _is_poor(self, scores: Array) -> NDArray[np.bool_]:
+        """Return for each merit whether its response surface is poor although the merit decides about lenses.
+
+        Lenses that miss a predicted limit as well do not need it.
+        """
+        assert self._response is not None  # there are merits that are not predicted
+        predicted = [k for k in range(len(self.study.merits)) if k not in self.not_predicted]
+        kept = all_passed([self.study.merits[k] for k in predicted], scores[:, predicted])
+        missed = [
+            np.mean(kept & ~merit.passed(scores[:, k]))
+            for k, merit in zip(self.not_predicted, self._responding, strict=True)
+        ]
+        return (np.array(missed) > SELDOM) & (self._response.cross_validated_r_squared < POOR_FIT)
+
+    def refine(self, scales: Array) -> bool:
+        """Fit losses of reconstructions again, to lenses near some scales; return whether there are any."""
+        amounts = self._fitted_amounts(scales, AROUND_BUDGET)
+        losses = [k for k, merit in enumerate(self.study.merits) if isinstance(merit, ReconstructionLoss)]
+        for k in losses:
+            merit = self.study.merits[k]
+            assert isinstance(merit, ReconstructionLoss)
+            self._merit_models[k] = fit_loss_surface(self._lens, self.study, merit, amounts)
+        return bool(losses)
+
+    def _fitted_amounts(self, scales: Array, region: _Region) -> Array:
+        """Return lenses to which losses are fitted, with deviations of about these scales."""
         count, tolerances = min(FITTED_LENSES, len(self._deviations)), len(self._starts)
         rng = np.random.default_rng(0)
-        low, high = (float(np.log(scale)) for scale in FITTED_SCALES)
-        common = rng.uniform(low, high, (count, 1))
-        own_spread = 0.5
-        scales = np.exp(common + own_spread * rng.standard_normal((count, tolerances)))
-        return np.asarray(self._base + scales[:, self._of_change] * self._deviations[:count])
+        common = rng.uniform(np.log(region.low), np.log(region.high), (count, 1))
+        factors = scales * np.exp(common + region.own_spread * rng.standard_normal((count, tolerances)))
+        return np.asarray(self._base + factors[:, self._of_change] * self._deviations[:count])
 
     def scores(self, scales: Array) -> Array:
         """Return the scores, shape (draws, merits)."""
@@ -267,7 +306,7 @@ class StudyScoreModel:
         """Return scores by the response surfaces and derivatives by the deviations, (n, m) and (n, m, d).
 
         Each lens has the residual of one random trial, times the square of its deviations relative to those
-        of the trial, but at most once.
+        of the trial, but at most once. All lenses keep the limit of an omitted merit.
         """
         assert self._response is not None  # there are merits that are not predicted
         rng = np.random.default_rng(0)
@@ -277,7 +316,12 @@ class StudyScoreModel:
         shrink = np.minimum(sizes / trial_sizes, 1.0)
         steepness = np.where(shrink < 1.0, residuals / trial_sizes, 0.0)
         slopes = self._response.slopes(values) + steepness[..., None] * by
-        return self._response.predict(values) + shrink * residuals, slopes
+        scores = self._response.predict(values) + shrink * residuals
+        for k in np.flatnonzero(self._is_omitted):
+            merit = self._responding[k]
+            # Far on the good side of the limit.
+            scores[:, k], slopes[:, k] = (1e6 if merit.at_least is not None else -1e6), 0.0
+        return scores, slopes
 
 
 def _merit_models(lens: Lens, study: Study, probes: Array, fitted_amounts: Array) -> list[_MeritModel | None]:

@@ -205,7 +205,9 @@ def budget_of_study(
     """Find the tolerances of least cost that meet a required yield.
 
     1. A search on a score model of all merits (:mod:`tolerancing.budgets.score_model`) finds the scales of
-       least cost for which the required fraction of its lenses is good.
+       least cost for which the required fraction of its lenses is good. Losses of reconstructions are then
+       fitted again near these scales, and the search is repeated. A merit whose response surface is poor is
+       omitted until there are trials near the scales found.
     2. Random trials of the lens itself, with a seed other than the study's, verify the result.
     3. If they disagree with the requirement, or leave the yield uncertain by a standard error of more than
        half a percentage point, the difference between the yields of lens and model on the same trials
@@ -291,11 +293,14 @@ class _Rounds:
         try:
             self.report_progress(0)
             model = StudyScoreModel(self.lens, self.study, values, scores)
+            first = self.search(model)
+            if model.refine(first.scales):
+                first = self.search(model)
             for index in range(MOST_ROUNDS):
                 if found is not None and index >= MODEL_ROUNDS and self.is_inaccurate(model):
                     candidate = self.scale_by_trials(model, found.budget)
                 else:
-                    candidate = self.search(model)
+                    candidate = self.search(model) if index else first
                 found = self.verify(model, candidate, self.study.seed + 1 + index)
                 if found.agrees and found.is_precise:
                     break
@@ -303,6 +308,7 @@ class _Rounds:
                     values = np.concatenate([values, self.verifications[-1].batch.values])
                     scores = np.concatenate([scores, self.verifications[-1].scores])
                     model.fit(values, scores)
+                    model.check_fit(self.verifications[-1].scores)
         except _TrialsInterrupted as stop:
             raise BudgetInterrupted(stop.found) from None
         except KeyboardInterrupt:

@@ -9,6 +9,7 @@ from lensdesign.lens.lens import Lens
 from tolerancing.budgets.allocation import allocate_tolerances
 from tolerancing.budgets.loss_surface import fit_loss_surface
 from tolerancing.budgets.score_model import StudyScoreModel
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.prediction.reconstruction_loss import expected_losses
 from tolerancing.prediction.system import amounts_of
 from tolerancing.prediction.wavefront_prediction import drawn_batch
@@ -62,6 +63,23 @@ def test_fitted_losses_are_those_predicted(
     step = 1e-4 * np.random.default_rng(1).standard_normal(new.shape) * np.abs(new)
     change = surface.scores(new + step) - surface.scores(new - step)
     assert 0.5 * change == pytest.approx(np.sum(by * step, axis=1), rel=1e-3, abs=1e-9)
+
+
+def test_losses_are_fitted_again_near_the_scales_found(twin: Lens, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tolerancing.budgets.score_model.FITTED_LENSES", 96)
+    study, scales = study_of(), np.array([0.2, 0.2, 3.0, 0.4, 3.0, 0.4])
+    model = StudyScoreModel(twin, study, np.zeros((0, len(scales))), np.zeros((0, 1)))
+    merit = study.merits[0]
+    assert isinstance(merit, ReconstructionLoss)
+    amounts = amounts_of(drawn_batch(study, draws=64))
+    predicted = expected_losses(twin, study, merit, amounts * scales)
+
+    def error() -> float:
+        return float(np.sqrt(np.mean((model.scores(scales)[: len(predicted), 0] - predicted) ** 2)))
+
+    before = error()
+    assert model.refine(scales)
+    assert error() < 0.7 * before
 
 
 def test_a_budget_loosens_what_matters_little(twin: Lens, monkeypatch: pytest.MonkeyPatch) -> None:

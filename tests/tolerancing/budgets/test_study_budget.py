@@ -112,7 +112,7 @@ def test_a_poor_model_and_too_few_trials_are_refused(write_study, ray_study, tmp
     (tmp_path / "mine.py").write_text("def noise(trial):\n    return (trial.number * 0.618034) % 1.0\n")
     loaded = load_study(write_study("sensitivity = false\n" + ray_study + NOISE), trust=True)
     trials = score_trials(context_of(loaded.lens, loaded.study), loaded.study, range(60))
-    with pytest.raises(InputError, match=r"'python'.*60 trials explains \d+%.*--trials"):
+    with pytest.raises(InputError, match=r"'python'.*110 trials explains \d+%.*--trials"):
         budget_of_study(loaded.lens, loaded.study, trials.values, trials.scores, 0.3, fresh=50)
     with pytest.raises(InputError, match=r"4 trials are too few for a model of python.*--trials"):
         budget_of_study(loaded.lens, loaded.study, trials.values[:4], trials.scores[:4], 0.3, fresh=50)
@@ -129,9 +129,12 @@ def test_a_poor_model_is_enough_for_a_limit_that_others_imply(write_study, ray_s
     kept = first.passed(scores[:, 0])
     scores[kept, 1] = np.abs(scores[kept, 1]) + 0.5
     assert np.mean(second.passed(scores[:, 1])) < 0.9
-    StudyScoreModel(loaded.lens, loaded.study, trials.values, scores)
+    StudyScoreModel(loaded.lens, loaded.study, trials.values, scores).check_fit(scores)
+    scores[:, 1] *= -1.0
+    model = StudyScoreModel(loaded.lens, loaded.study, trials.values, scores)
+    assert np.all(second.passed(model.scores(np.ones(len(loaded.study.perturbations)))[:, 1]))  # omitted
     with pytest.raises(InputError, match="explains"):
-        StudyScoreModel(loaded.lens, loaded.study, trials.values, np.where([[False, True]], -scores, scores))
+        model.check_fit(scores)
 
 
 def test_the_yield_before_is_that_of_the_trials(loaded, trials):
