@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import queue
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -43,9 +42,10 @@ class Job:
         self.lines: list[str] = []
         self.result: Any = None
         self._on_change = on_change
-        self._messages: Any = context.Queue()
-        self._process = context.Process(target=_run, args=(work, arguments, self._messages), daemon=True)
+        self._messages, sending = context.Pipe(duplex=False)
+        self._process = context.Process(target=_run, args=(work, arguments, sending), daemon=True)
         self._process.start()
+        sending.close()  # only the process has the other end, so that its death ends a message, too
         threading.Thread(target=self._follow, daemon=True, name="job").start()
 
     @property
@@ -63,10 +63,11 @@ class Job:
     def _follow(self) -> None:
         while self.state == "running":
             try:
-                kind, value = self._messages.get(timeout=0.2)
-            except queue.Empty:
-                if not self._process.is_alive() and self._messages.empty():
-                    self._end("failed", "the process ended before its work was done")
+                if not self._messages.poll(0.2):
+                    continue
+                kind, value = self._messages.recv()
+            except (EOFError, OSError):
+                self._end("failed", "the process ended before its work was done")
                 continue
             if kind == "line":
                 self.lines.append(value)
@@ -74,6 +75,7 @@ class Job:
             else:
                 self._end(kind, value)
         self._process.join()
+        self._messages.close()
 
     def _end(self, state: str, result: Any) -> None:
         if self.state == "running":
@@ -85,9 +87,9 @@ def _run(work: Callable[..., Any], arguments: tuple[Any, ...], messages: Any) ->
     """Run the work in the child process, and send its progress and result."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        messages.put(("done", work(*arguments, lambda line: messages.put(("line", line)))))
+        messages.send(("done", work(*arguments, lambda line: messages.send(("line", line)))))
     except TransferLensError as error:
-        messages.put(("failed", str(error)))
+        messages.send(("failed", str(error)))
 
 
 def _end_with_parent() -> None:

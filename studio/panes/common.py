@@ -220,6 +220,9 @@ class JobPane:
         Function that returns the last job of the workbench; None before the first.
     run, cancel
         Labels of the buttons.
+
+    A handler of a button changes the workbench alone and notifies it. The page is updated afterwards, when
+    its document is locked.
     """
 
     def __init__(

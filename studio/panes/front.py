@@ -140,7 +140,6 @@ class _Explore(JobPane):
         search = replace(search, goal="smallest spread")
         arguments = (bench.lens, search, quality, ",".join(over), session.lenses)
         session.exploration = ExplorationRun(Job(run_exploration, arguments, bench.notify), over)
-        self.update()
         bench.notify()
 
     def _picked(self, _name: str, _old: Any, new: list[int]) -> None:

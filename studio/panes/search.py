@@ -110,7 +110,6 @@ class _Optimize(JobPane):
             return
         job = Job(run_search, (bench.lens, search, quality), bench.notify)
         bench.session.search = SearchRun(job, bench.lens)
-        self.update()
         bench.notify()
 
     def _accept(self, _: object) -> None:

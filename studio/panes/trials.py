@@ -67,7 +67,6 @@ class _Tolerances(JobPane):
         storage = tempfile.TemporaryDirectory(prefix="studio")
         arguments = (bench.lens, quality, bench.session.trials, Path(storage.name))
         bench.session.study = StudyRun(Job(run_trials, arguments, bench.notify), quality.study, storage)
-        self.update()
         bench.notify()
 
     def _poll(self) -> None:
@@ -96,8 +95,13 @@ class _Tolerances(JobPane):
     def _picked(self, trial: int) -> None:
         run = self.bench.session.study
         if run is not None:
+            try:
+                what_if = trial_what_if(run.folder, trial)
+            except TransferLensError as error:
+                self.show_error(error)
+                return
             run.picked = trial
-            self.bench.set_what_if(trial_what_if(run.folder, trial))
+            self.bench.set_what_if(what_if)
 
     def update(self) -> None:
         """Show the progress of the study."""
@@ -125,6 +129,9 @@ class _Tolerances(JobPane):
             self.charts.visible = found is not None
         if job.state == "failed":
             self.show_message(message(text(job.result), is_bad=True))
+        elif found is None and job.state == "done":
+            lost = f"the trials in {run.folder} were removed or changed: start the study again"
+            self.show_message(message(text(lost), is_bad=True))
         elif found is None or (good := found.summary.good) is None:
             self.show_message(message(f"{text(job.progress or 'starting')}…"))
         else:

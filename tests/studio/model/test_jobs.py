@@ -34,6 +34,11 @@ def endless(report: Callable[[str], None]) -> None:
     time.sleep(600.0)
 
 
+def large(report: Callable[[str], None]) -> bytes:
+    report("begun")
+    return bytes(10_000_000)
+
+
 def wait(until: Callable[[], bool]) -> None:
     end = time.monotonic() + 120.0
     while not until():
@@ -63,6 +68,21 @@ def test_what_fails_says_so(work: Callable[..., None], said: str) -> None:
     wait(lambda: job.state != "running")
     assert job.state == "failed"
     assert said in job.result
+
+
+def test_what_is_killed_within_a_message_has_failed() -> None:
+    """The result is larger than what a pipe holds, and nobody reads it before the process is killed."""
+
+    def kill() -> None:
+        if job.state == "running":
+            time.sleep(0.5)
+            job._process.kill()
+            job._process.join()
+
+    job = Job(large, (), lambda: kill())
+    wait(lambda: job.state != "running")
+    assert job.state == "failed"
+    assert "ended before its work" in job.result
 
 
 def test_what_is_cancelled_ends() -> None:

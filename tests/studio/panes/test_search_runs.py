@@ -122,4 +122,28 @@ def test_a_study_shows_its_running_yield_and_the_scores_against_the_limit(
     assert bench.what_if.is_active
     assert "irregularities of trial 3" in panes.deviations(bench).words
     assert "Trial 3" in pane.message.object
+    storage.cleanup()
+    pane.trials.source.selected.indices = [4]
+    assert "design.toml" in pane.message.object or "study.toml" in pane.message.object
+    assert bench.session.study.picked == 3
+    assert "start the study again" in panes.tolerances(bench)._tolerances.message.object
+    bench.close()
+
+
+@pytest.mark.parametrize(
+    ("module", "name"), [("search", "optimize"), ("front", "explore"), ("trials", "tolerances")]
+)
+def test_a_button_leaves_the_update_of_its_page_to_the_workbench(
+    bench: Workbench, monkeypatch: pytest.MonkeyPatch, module: str, name: str
+) -> None:
+    """The document of a page may not be locked when a button is pressed."""
+    monkeypatch.setattr(f"studio.panes.{module}.Job", lambda *_: FinishedJob(state="running"))
+    bench.set_grade("precision")
+    pane = getattr(getattr(panes, name)(bench), f"_{name}")
+    updates: list[int] = []
+    monkeypatch.setattr(pane, "update", lambda: updates.append(1))
+    pane._start(None)
+    assert updates == []
+    assert pane.is_running
+    assert pane.run.disabled
     bench.close()
