@@ -23,6 +23,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lensdesign.common.input_files import LENS_FILE_BYTES, read_input
+from lensdesign.common.number_limits import LARGEST_IN_FILES, SMALLEST_IN_FILES
 from lensdesign.common.toml_files import joined_faults
 from lensdesign.errors import InputError, MaterialError
 from lensdesign.files.index_records import (
@@ -184,12 +185,20 @@ class Supplement:
     configuration: int | None = None
 
     def wavelengths_or(self, found_um: Sequence[float], draft: Draft) -> list[float]:
-        """Return the stated wavelengths, with a remark if they replace others; without any, those found."""
+        """Return the stated wavelengths, with a remark if they replace others; without any, those found.
+
+        Raises
+        ------
+        InputError
+            If one of them is not a positive length, before an index is computed from it.
+        """
+        used_um = self.wavelengths_um or found_um
+        if any(not SMALLEST_IN_FILES <= w <= LARGEST_IN_FILES for w in used_um):
+            listed = ", ".join(f"{w:g}" for w in used_um)
+            origin = "wavelengths_um" if self.wavelengths_um else f"{draft.source}: wavelengths"
+            raise InputError(f"{origin} = {listed}: must be greater than 0 and finite, in µm")
         if not self.wavelengths_um:
             return list(found_um)
-        if any(not 0.0 < w < math.inf for w in self.wavelengths_um):
-            listed = ", ".join(f"{w:g}" for w in self.wavelengths_um)
-            raise InputError(f"wavelengths_um = {listed}: must be greater than 0 and finite, in µm")
         if found_um and list(found_um) != list(self.wavelengths_um):
             listed = ", ".join(f"{w:g}" for w in found_um)
             draft.add_remark(f"the stated wavelengths replace those of the file ({listed} µm)")

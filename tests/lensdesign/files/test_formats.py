@@ -195,3 +195,22 @@ def test_a_long_name_of_a_glass_is_refused_in_a_short_message(tmp_path: Path, su
     with pytest.raises(InputError) as caught:
         read_lens_file(path, SUPPLEMENT, lossy=True)
     assert len(str(caught.value)) < 1_000
+
+
+@pytest.mark.parametrize("suffix", sorted(OTHERS))
+@pytest.mark.parametrize("number", ["0", "-0.532", "1e-200", "1e200"])
+def test_a_wavelength_that_is_no_length_is_refused_before_an_index_is_computed(
+    paper_lens: Lens, tmp_path: Path, suffix: str, number: str
+) -> None:
+    path = tmp_path / f"lens{suffix}"
+    write_lens_file(paper_lens, path)
+    encoding = OTHERS[suffix][1]
+    text = path.read_text(encoding=encoding)
+    stated = {".zmx": "WAVM 1 0.532 1", ".seq": "WL 532.000"}[suffix]
+    assert text.count(stated) == 1
+    changed = {".zmx": f"WAVM 1 {number} 1", ".seq": f"WL {number}"}[suffix]
+    path.write_text(text.replace(stated, changed), encoding=encoding)
+    with pytest.raises(InputError, match="must be greater than 0 and finite"):
+        read_lens_file(path)
+    given = Supplement(wavelengths_um=(0.532,))
+    assert read_lens_file(path, given).lens.wavelengths_um == (0.532,)
