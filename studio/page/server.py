@@ -41,16 +41,22 @@ def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool =
     Raises
     ------
     InputError
-        If the file does not describe a lens, or the port is in use.
+        If the file does not describe a lens or is open in another workbench, or the port is in use.
     """
     autosave = Autosave(design)
-    bench = Workbench(design, grade, autosave)
     kept = autosave.read()
-    token, port = _token(kept.get("token")), _port(port, kept.get("port"))
+    token = _token(kept.get("token"))
+    if _answers(address := _address(kept.get("port"), token)):
+        raise InputError(
+            f"{design} is open in a workbench already, which stores its unsaved edits: use its page "
+            f"{address}, or stop it first"
+        )
+    bench = Workbench(design, grade, autosave)
+    port = _port(port, kept.get("port"))
     server = server_of(bench, port, token)
     server.start()
     autosave.keep(token=token, port=port)
-    address = f"http://{ADDRESS}:{port}/{token}/"
+    address = _address(port, token)
     print(f"{design} on {address}", flush=True)
     if bench.editing.undo_steps:
         print("with the unsaved edits of the last session; undo takes them back", flush=True)
@@ -62,6 +68,23 @@ def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool =
     finally:
         bench.close()
         print("stopped; unsaved edits are kept for the next time", file=sys.stderr)
+
+
+def _address(port: Any, token: str) -> str:
+    return f"http://{ADDRESS}:{port}/{token}/"
+
+
+def _answers(address: str) -> bool:
+    """Return whether a workbench is running at an address."""
+    from http.client import HTTPException
+    from urllib.request import ProxyHandler, build_opener
+
+    seconds = 2.0  # a page that is being computed delays the answer
+    try:
+        with build_opener(ProxyHandler({})).open(f"{address}alive", timeout=seconds) as answer:
+            return bool(answer.status == 200)
+    except (OSError, HTTPException, ValueError):  # no server, another one, or a port that is none
+        return False
 
 
 def server_of(bench: Workbench, port: int, token: str) -> Any:

@@ -71,6 +71,14 @@ def asked(address: str, path: str, host: str | None = None) -> int:
         return refused.code
 
 
+def test_a_design_that_is_open_is_not_opened_again(served: Served) -> None:
+    """Both servers would store their unsaved edits in one place."""
+    command = [sys.executable, "-m", "lensdesign.cli", "studio", str(served.design), "--no-open"]
+    second = subprocess.run(command, capture_output=True, text=True, env=served.environment, timeout=60)
+    assert (second.returncode, second.stdout) == (2, "")
+    assert served.address in second.stderr
+
+
 def test_names_of_other_machines_are_refused(served: Served) -> None:
     """As DNS rebinding brings them."""
     port = served.address.split(":")[2].split("/")[0]
