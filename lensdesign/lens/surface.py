@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
+from lensdesign.common.number_limits import SMALLEST_IN_FILES
 from lensdesign.lens.catalogues.thermal import LOWEST_INDEX
 from lensdesign.lens.coatings.coating import SurfaceCoating
 from lensdesign.lens.shapes.base import COEFFICIENTS, Shape, azimuths_rad, term_of
@@ -113,6 +114,8 @@ class Surface(FrozenModel):
     def _radius(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value == 0.0:
             raise ValueError(f"a radius of 0 is not a surface; leave {info.field_name} out for a plane")
+        if value is not None and abs(value) < SMALLEST_IN_FILES:
+            raise ValueError(f"its magnitude must be at least {SMALLEST_IN_FILES:g}")
         return value
 
     @model_validator(mode="after")

@@ -87,6 +87,7 @@ def test_surfaces_that_make_no_lens_are_refused(surfaces: list[Surface], message
     ("values", "message"),
     [
         ({"radius_mm": 0.0}, "radius of 0 is not a surface"),
+        ({"radius_mm": -1e-300, "conic": -1.0}, "its magnitude must be at least 1e-60"),
         ({"radius_mm": float("nan")}, "finite"),
         ({"thickness_mm": -1.0}, "greater than 0"),
         ({"semi_diameter_mm": 0.0}, "greater than 0"),
