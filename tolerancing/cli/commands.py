@@ -337,27 +337,29 @@ def _print_trial(trial: SingleTrial) -> None:
         )
 
 
-def _predicted(store: Store) -> StudyPrediction | None:
-    """Return the prediction of `tolerancing predict` if all merits have one that takes a second or two."""
+def _predicted(store: Store) -> StudyPrediction | str:
+    """Return the prediction of `tolerancing predict` if it takes a second or two, or why there is none."""
     from tolerancing.prediction.study_prediction import is_scored_at_once, predict_study
 
     if not all(is_scored_at_once(merit) for merit in store.study.merits):
-        return None
+        return "not all limits are predicted within seconds; see tolerancing predict and the report"
     try:
         return predict_study(store.loaded.lens, store.study)
-    except TransferLensError:
-        return None
+    except TransferLensError as error:
+        return str(error)
 
 
-def _summary_dict(summary: Summary, predicted: StudyPrediction | None) -> dict[str, Any]:
-    if predicted is None:
-        return summary.as_dict() | {"predicted_yield": None}
-    found = cli_predict.yield_dict(predicted)
-    own = {f"predicted_{name}": found[name] for name in ("yield", "yield_low", "yield_high")}
-    return summary.as_dict() | own
+def _summary_dict(summary: Summary, predicted: StudyPrediction | str) -> dict[str, Any]:
+    names = ("yield", "yield_low", "yield_high", "reason")
+    found: dict[str, Any] = dict.fromkeys(names)
+    if isinstance(predicted, str):
+        found["reason"] = predicted
+    else:
+        found = cli_predict.yield_dict(predicted)
+    return summary.as_dict() | {f"predicted_{name}": found[name] for name in names}
 
 
-def _print_summary(summary: Summary, predicted: StudyPrediction | None) -> None:
+def _print_summary(summary: Summary, predicted: StudyPrediction | str) -> None:
     planned = summary.record.planned_trials
     rows = [
         (
@@ -379,8 +381,8 @@ def _print_summary(summary: Summary, predicted: StudyPrediction | None) -> None:
     for row in summary.merits:
         if row.merit.location:
             print(f"{row.merit.label}: {row.merit.location}")
-    if predicted is not None:
-        print(f"yield without trials: {cli_predict.yield_text(predicted)}")
+    text = predicted if isinstance(predicted, str) else cli_predict.yield_text(predicted)
+    print(f"yield without trials: {text}")
     if summary.failed:
         print(f"{summary.failed} trials could not be scored and count as bad")
     if not summary.complete:

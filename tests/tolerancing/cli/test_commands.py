@@ -118,6 +118,7 @@ def test_run_show_and_report(command, write_study, full_study, tmp_path):
     assert 0.0 <= good["low"] <= good["share"] <= good["high"] <= 1.0
     assert set(data["merits"]) == {"largest_spread_deg", "strehl"}
     assert data["merits"]["strehl"]["nominal"] == pytest.approx(1.0, abs=1e-9)
+    assert (data["predicted_yield"] is None) == bool(data["predicted_reason"])
 
     shown = command("show", store, "--json")
     assert json.loads(shown.stdout) == {k: v for k, v in data.items() if k != "run"}
@@ -130,6 +131,16 @@ def test_run_show_and_report(command, write_study, full_study, tmp_path):
     assert str(out / "report.html") in reported.stdout
     assert (out / "report.pdf").read_bytes().startswith(b"%PDF")
     assert (out / "trials.csv").read_text().count("\n") == 13
+
+
+def test_a_yield_without_a_prediction_has_a_reason(command, write_study, ray_study, tmp_path):
+    shifted = '[[merit]]\nkind = "image_shift_um"\nat_most = 50.0\n'
+    study = "sensitivity = false\n" + ray_study.replace("pupil_samples = 64", "pupil_samples = 16") + shifted
+    words = ("run", write_study(study), "--store", tmp_path / "a.store", "--workers", "1", "--trials", "2")
+    data = json.loads(command(*words, "--json").stdout)
+    assert data["predicted_yield"] is None
+    assert "tolerancing predict" in data["predicted_reason"]
+    assert data["predicted_reason"] in command("show", tmp_path / "a.store").stdout.replace("\n", " ")
 
 
 def test_run_ends_by_saying_what_was_done_and_where_it_lies(command, write_study, ray_study, tmp_path):
