@@ -39,7 +39,7 @@ from tolerancing.study.study import Study
 
 LOSS_STUDIES = (
     "feasible_singlet:precision:nominal",
-    "moulded_pair:precision:nominal",
+    "paper_singlet:precision:nominal",
     "wide_field:precision:nominal",
     "stock_pair:precision:nominal",
 )
@@ -99,6 +99,7 @@ def _rows_of_losses(loaded: LoadedStudy, fresh: int) -> list[Row]:
     assert found.verified is not None
     assert found.estimated_yield is not None
     own = StudyScoreModel(lens, study.replaced(seed=321), trials.values, trials.scores)
+    own.refine(found.budget.scales)
     target = _yield_by(own, found.budget.scales)
     other, cost = _constrained(own, found, target)
     tested = _tested(loaded, found.budget.scales, fresh)
