@@ -55,7 +55,7 @@ class ObjectSpace(FrozenModel):
     """
 
     field_diameter_mm: Positive
-    numerical_aperture: Annotated[float, Field(gt=0.0, lt=1.0)]
+    numerical_aperture: Annotated[Positive, Field(lt=1.0)]
     working_distance_mm: Positive
 
 

@@ -327,7 +327,7 @@ class Moulding(FrozenModel):
     elements: tuple[Annotated[int, Field(ge=1)], ...] | None = None
     off: tuple[MouldingCheckName, ...] = ()
     tool_radius_mm: Positive | None = None
-    tool_included_angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] | None = None
+    tool_included_angle_deg: Annotated[Positive, Field(le=180.0)] | None = None
     min_draft_deg: Annotated[float, Field(ge=0.0, le=30.0, allow_inf_nan=False)] | None = None
     min_gate_clearance_mm: Positive | None = None
     min_gate_width_mm: Positive | None = None
@@ -336,7 +336,7 @@ class Moulding(FrozenModel):
     min_thickness_mm: Positive | None = None
     max_thickness_mm: Positive | None = None
     max_thickness_ratio: Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
-    max_slope_deg: Annotated[float, Field(gt=0.0, lt=90.0)] | None = None
+    max_slope_deg: Annotated[Positive, Field(lt=90.0)] | None = None
     max_sag_mm: Positive | None = None
 
     @model_validator(mode="after")

@@ -169,7 +169,7 @@ class SmallestResolvedLine(PupilMerit):
         Axis along which the bars repeat, or the worse axis.
     """
 
-    contrast: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    contrast: Annotated[Positive, Field(lt=1.0)] = 0.2
     orientation: Orientation = "worse"
 
     kind_unit: ClassVar[str] = "um"

@@ -42,8 +42,8 @@ class CoatingLayer(FrozenModel):
     material: str | None = None
     index: Annotated[float, Field(ge=1.0, le=10.0, allow_inf_nan=False)] | None = None
     extinction: Annotated[float, Field(ge=0.0, le=20.0, allow_inf_nan=False)] = 0.0
-    thickness_nm: Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)] | None = None
-    quarter_waves: Annotated[float, Field(gt=0.0, le=1e3, allow_inf_nan=False)] | None = None
+    thickness_nm: Annotated[Positive, Field(le=1e5)] | None = None
+    quarter_waves: Annotated[Positive, Field(le=1e3)] | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> CoatingLayer:

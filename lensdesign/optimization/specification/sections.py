@@ -12,7 +12,7 @@ from lensdesign.lens.catalogues.thermal import COLDEST_C, HOTTEST_C, REFERENCE_C
 from lensdesign.lens.temperature import ALUMINIUM_PER_K
 from lensdesign.optimization.nlopt_driver import ALGORITHMS
 
-Angle = Annotated[float, Field(gt=0.0, lt=90.0)]
+Angle = Annotated[Positive, Field(lt=90.0)]
 
 
 class FieldSpread(FrozenModel):
@@ -27,7 +27,7 @@ class FieldSpread(FrozenModel):
     """
 
     field_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-    max_spread_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
+    max_spread_deg: Annotated[Positive, Field(lt=90.0)]
 
 
 class Constraints(FrozenModel):
@@ -75,24 +75,24 @@ class Constraints(FrozenModel):
         lens as designed at its first wavelength. Surfaces count as bare if all coatings are ideal.
     """
 
-    max_spread_deg: Annotated[float, Field(gt=0.0, lt=90.0)] | Literal["sensor", "none"] = "sensor"
+    max_spread_deg: Annotated[Positive, Field(lt=90.0)] | Literal["sensor", "none"] = "sensor"
     max_spread_xy_deg: tuple[Angle, Angle] | None = None
     field_spread: tuple[FieldSpread, ...] = ()
     max_footprint_radius_mm: (
         Positive | tuple[Positive, ...] | Literal["sensor", "sensor rectangle", "none"]
     ) = "sensor"
-    min_throughput: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    min_throughput: Annotated[Positive, Field(le=1.0)] = 1.0
     min_edge_thickness_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.5
     min_center_thickness_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.5
     min_air_gap_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
-    max_edge_slope_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 75.0
+    max_edge_slope_deg: Annotated[Positive, Field(lt=90.0)] = 75.0
     max_lens_thickness_mm: Positive | None = None
     max_track_mm: Positive | None = None
     max_semi_diameter_mm: Positive | None = None
-    min_yield: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    min_yield: Annotated[Positive, Field(lt=1.0)] | None = None
     max_as_built_rms_waves: Positive | None = None
-    max_as_built_reconstruction_loss: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
-    max_ghost_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    max_as_built_reconstruction_loss: Annotated[Positive, Field(lt=1.0)] | None = None
+    max_ghost_fraction: Annotated[Positive, Field(lt=1.0)] | None = None
 
 
 class Recording(FrozenModel):

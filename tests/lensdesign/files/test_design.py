@@ -98,6 +98,7 @@ FAULTS = [
     ("conic = -0.9", "conic = -0.9\nthickness_mm = 1.0", r"surface 2: .*last surface.*thick"),
     ("thickness_mm = 9.7", "thickness_mm = 0.5", "surfaces 1 and 2 cross"),
     ("numerical_aperture = 0.25", "numerical_aperture = 1.0", r"numerical_aperture = 1.0.* 1"),
+    ("numerical_aperture = 0.25", "numerical_aperture = 1e-300", "object, numerical_aperture: must be at"),
     ("numerical_aperture = 0.25\n", "", "object, numerical_aperture: missing key"),
     ("numerical_aperture", "na", "object, na: unknown key"),
     ("field_diameter_mm = 3.0", "field_diameter_mm = 0", "field_diameter_mm = 0"),
