@@ -47,6 +47,7 @@ from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
 from wavesim.reconstruction.growing_aperture import STAGES, with_growing_aperture
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
+from wavesim.reconstruction.position import at_best_position
 from wavesim.reconstruction.prior_bias import with_less_bias
 from wavesim.reconstruction.problem import (
     ReconstructionProblem,
@@ -406,7 +407,7 @@ def _find_object(
             found = _solve(
                 case, settings, engine, reporter, first, checkpoint, initial.pop() if initial else None
             )
-            found = _with_own_limit(case, settings, engine, reporter, found)
+            found = _placed(case, settings, engine, reporter, found)
             judged = _with_less_bias(case, settings, engine, reporter, found)
             if not curve and may_be_stagnated(case, settings, judged):
                 found, judged = _leave_local_minimum(case, settings, engine, reporter, first, found, judged)
@@ -525,6 +526,27 @@ def _solve(
     )
 
 
+def _placed(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    reporter: ProgressReporter,
+    found: Reconstructed,
+) -> Reconstructed:
+    """Return an object with its own upper limit at the position that the frames prefer."""
+    limited = _with_own_limit(case, settings, engine, reporter, found)
+    if settings.kind == "complex" or isinstance(case.engine, Tiled):
+        return limited
+    reporter.step("position of the object")
+
+    def solve(start: Field, scale: float, *, iterations: int | None = None) -> Reconstructed:
+        own = None if settings.kind == "phase" and settings.scale is None else scale
+        return _solve(case, settings, engine, reporter, start, iterations=iterations, scale=own)
+
+    placed = at_best_position(solve, limited, case.light, noise_misfit(case.given))
+    return limited if placed is limited else _with_own_limit(case, settings, engine, reporter, placed)
+
+
 def _with_own_limit(
     case: ReconstructionProblem,
     settings: ReconstructionSettings,
@@ -599,7 +621,7 @@ def _leave_local_minimum(
     for search in searches:
         if excess <= 1.0:
             break
-        other = _with_own_limit(case, settings, engine, reporter, search())
+        other = _placed(case, settings, engine, reporter, search())
         other_judged = _with_less_bias(case, settings, engine, reporter, other)
         # The result of another search is preferred only if its residuals are clearly smaller. The errors of
         # the engine, which the excess contains, are the same in both.
