@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import runpy
+import shutil
 import tomllib
 from pathlib import Path
 
 import pytest
-from places import ROOT
+from places import DESIGNS, ROOT
 from quick_verdicts import judge_quickly
-from short_studies import copy_designs
 from small_pictures import draw_few_dots
 
 from lensdesign.common.toml_files import validate
@@ -20,15 +20,6 @@ from lensdesign.optimization.specification.specification import Specification
 from tolerancing.study.files import study_from_tables
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-
-
-# What stands in a page's Python, and what is run in its place: the packages' tests hold what the rest gives.
-SHORTER = {
-    "trials=100": "trials=20, workers=1",
-    r'"usaf", patch_mm=\S+,': '"star", patch_mm=0.03,',
-    r'patch_mm=\S+, kind="amplitude"(, iterations=\d+)?': 'patch_mm=0.03, kind="amplitude", iterations=2',
-    r"patch_mm=3\.0": "patch_mm=1.0",
-}
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -49,12 +40,9 @@ def test_python_of_the_pages_runs(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    code = blocks(page, "python")[number]
-    for pattern, text in SHORTER.items():
-        code = re.sub(pattern, text, code)
     script = tmp_path / "tour.py"
-    script.write_text(code, encoding="utf-8")
-    copy_designs(tmp_path)
+    script.write_text(blocks(page, "python")[number], encoding="utf-8")
+    shutil.copytree(DESIGNS, tmp_path / "designs")
     judge_quickly(monkeypatch)
     draw_few_dots(monkeypatch)
     monkeypatch.chdir(tmp_path)
