@@ -85,7 +85,7 @@ def _row(name: str, grade: str, calibrated: bool, trials: int, folder: Path) -> 
     terminal = CliRunner().invoke(tolerancing_app, ["predict", str(study)]).output
     found, low, high = (predicted[key] for key in ("yield", "yield_low", "yield_high"))
     shown = _percent(found)
-    assert (shown in terminal) == (found is not None)
+    assert found is None or shown in terminal
     assert ("the yield is not predicted" in terminal) == (found is None)
     only_trials = loaded.study.replaced(sensitivity=False, scaled_trials=None)
     loaded = type(loaded)(**{**vars(loaded), "study": only_trials})
