@@ -39,9 +39,8 @@ from tolerancing.study.study import Study
 
 LOSS_STUDIES = (
     "feasible_singlet:precision:nominal",
-    "paper_singlet:precision:nominal",
     "wide_field:precision:nominal",
-    "stock_pair:precision:nominal",
+    "paper_singlet:precision:nominal",
 )
 LOSS_TRIALS, LOSS_VERIFY, LOSS_DRAWS, LOSS_EVALUATIONS = 140, 250, 2048, 600
 
