@@ -1,6 +1,6 @@
 """One yield everywhere: starting studies by prediction, report, drawing, workbench and trials.
 
-For four lenses of the gallery and three grades each, `tolerancing start` writes a study. Its joint yield is
+For five lenses of the gallery, each with one to three grades, `tolerancing start` writes a study. Its joint yield is
 predicted by `tolerancing predict`, by the report, by the sheet of `lensdesign drawing --tolerances` and by
 the workbench's model. Exact trials give the same yield, with an interval. The last columns compare lens by
 lens: the yield that is predicted for the lenses of the trials themselves, and the number of lenses whose
@@ -47,7 +47,8 @@ STUDIES = tuple(
         "paper_singlet": ("commercial", "precision", "high_precision"),
         "stock_pair": ("commercial", "precision", "high_precision"),
         "moulded_pair": ("moulded_glass", "precision", "high_precision"),
-        "phone_lens": ("commercial", "precision", "high_precision"),
+        "feasible_singlet": ("precision",),
+        "phone_lens": ("precision", "high_precision"),
     }.items()
     for grade in grades
 )
