@@ -1,10 +1,10 @@
 """One yield everywhere: starting studies by prediction, report, drawing, workbench and trials.
 
-For five lenses of the gallery, each with one to three grades, `tolerancing start` writes a study. Its joint yield is
-predicted by `tolerancing predict`, by the report, by the sheet of `lensdesign drawing --tolerances` and by
-the workbench's model. Exact trials give the same yield, with an interval. The last columns compare lens by
-lens: the yield that is predicted for the lenses of the trials themselves, and the number of lenses whose
-predicted result is wrong.
+For five lenses of the gallery, each with one to three grades, `tolerancing start` writes a study. Its joint
+yield is predicted by `tolerancing predict`, by the report, by the sheet of `lensdesign drawing --tolerances`
+and by the workbench's model. Exact trials give the same yield, with an interval. The last columns compare
+lens by lens: the yield that is predicted for the lenses of the trials themselves, and the number of lenses
+whose predicted result is wrong.
 
 Identical calls of the prediction, with equal study and equal draws, are computed once.
 
