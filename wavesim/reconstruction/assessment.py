@@ -346,13 +346,17 @@ def engine_errors(
     return tuple(one - other for one, other in zip(more, maps, strict=True))
 
 
+LARGEST_MISFIT_RATIO = 1.03
+"""Misfit of another start over that of the object found, up to which it explains the frames as well."""
+
+
 def starts_needed(
     case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
 ) -> ReconstructionSettings:
     """Return settings with a second start if iterations converged but the planes may not determine the
     object.
     """
-    if settings.starts > 1 or settings.kind != "complex" or isinstance(case.engine, Tiled):
+    if settings.starts > 1 or isinstance(case.engine, Tiled):
         return settings
     if case.diversity >= LEAST_DIVERSITY or found.stopped_because == "iterations":
         return settings
@@ -368,7 +372,10 @@ def agreement_of_starts(
     progress: Callable[[str], None],
     modes: Sequence[SourceMode] = (),
 ) -> float | None:
-    """Return the smallest correlation between the lit objects of several starts, or None for a single start.
+    """Return the smallest correlation between the lit objects of several starts.
+
+    A start that leaves a clearly larger misfit has ended in a local minimum and does not count; the result is
+    None if no other start counts. Amplitude objects have the scale of the object found, and thus its limit.
 
     Parameters
     ----------
@@ -401,10 +408,11 @@ def agreement_of_starts(
             tv_weight=settings.tv_weight,
             iterations=settings.most_iterations,
             until_noise=True,
-            scale=settings.scale,
+            scale=found.scale if settings.kind == "amplitude" else settings.scale,
             start=light.with_values(first.astype(light.values.dtype)),
             fill_factor=settings.fill_factor,
             modes=modes,
         )
-        ends.append(light.with_values(light.values * other.transmission.values))
-    return agreement(ends)
+        if other.misfit[-1] <= LARGEST_MISFIT_RATIO * found.misfit[-1]:
+            ends.append(light.with_values(light.values * other.transmission.values))
+    return agreement(ends) if len(ends) > 1 else None

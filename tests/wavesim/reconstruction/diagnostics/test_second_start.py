@@ -1,0 +1,28 @@
+"""A second start where planes have little diversity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from wavesim.fields.field import Field
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.scene.settings import PatchSettings
+from wavesim.sensor.imaging import image
+from wavesim.targets.patch import lit_patch
+
+LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+
+
+@pytest.mark.filterwarnings("ignore:little diversity")
+def test_a_grating_that_another_start_finds_elsewhere_is_not_trusted() -> None:
+    patch, _ = lit_patch(LENS, PatchSettings(patch_mm=0.05), LENS.wavelengths_um[0])
+    y, x = patch.grid.y_mm[:, None] / 0.025, patch.grid.x_mm / 0.025
+    grating = 0.5 + 0.5 * np.sign(np.sin(2.0 * np.pi * 9.0 * (x + 0.3 * y)))
+    thing = Field(patch.grid, grating.astype(np.complex64), patch.wavelength_um)
+    frames = image(LENS, thing, field_stop_mm=patch.field_stop_mm, seed=0).frames
+    found = reconstruct_frames(LENS, frames, kind="amplitude", patch_mm=0.05, truth=thing)
+    assert found.truth["object_correlation"] < 0.9
+    assert found.verdict.within
+    assert (found.verdict.explained, found.verdict.cause) == (False, "several objects"), found.verdict.words
