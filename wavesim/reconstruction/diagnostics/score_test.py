@@ -7,9 +7,10 @@ gradients. With the residuals r and their variances V,
 
     theta = (D'D)^-1 D'r,    chi^2 = (D'r)' (D'V D)^-1 (D'r)
 
-are the estimated errors of the bench, and their significance. Both come from one linear model about the
-result (:class:`wavesim.forward.linear_model.LinearModel`). A source that would have to be narrower than a
-point is left out.
+are the estimated errors of the bench, and their significance. What samples of an amplitude object at a bound,
+0 or 1, leave in common is subtracted from r first (:func:`_without_effect_of_bounds`). Both come from one
+linear model about the result (:class:`wavesim.forward.linear_model.LinearModel`). A source that would have to
+be narrower than a point is left out.
 
 References
 ----------
@@ -65,6 +66,13 @@ this value with most objects, and nearly all of it with a complex object whose p
 """
 
 
+LEAST_LOSS, LEAST_LOSS_OF_AMPLITUDE = 0.008, 0.002
+"""Loss of correlation above which errors of the bench matter.
+
+Estimated errors of a bench that is right are small with an amplitude object, and larger with other objects.
+"""
+
+
 @dataclass(frozen=True)
 class ScoreTest:
     """Result of the score test.
@@ -78,6 +86,8 @@ class ScoreTest:
     correlation : float
         Correlation (:func:`wavesim.metrics.contrast.object_correlation`) of the object found with the one
         that these errors would give.
+    least_loss : float
+        Loss of correlation above which errors of the bench matter.
     pixels : int
         Number of pixels of all planes.
     cause : str
@@ -89,6 +99,7 @@ class ScoreTest:
     estimate: Mapping[str, float]
     chi_square: float
     correlation: float
+    least_loss: float
     pixels: int
     cause: str
     undetected: tuple[Undetected, ...]
@@ -97,9 +108,7 @@ class ScoreTest:
     def is_preferred(self) -> bool:
         """True if frames clearly prefer another bench, and the object would differ."""
         threshold = CERTAIN_CHI_SQUARE + CERTAIN_PER_PIXEL * self.pixels
-        # Loss of correlation above which an error of the bench matters.
-        least_loss = 0.008
-        return self.chi_square > threshold and 1.0 - self.correlation > least_loss
+        return self.chi_square > threshold and 1.0 - self.correlation > self.least_loss
 
     @property
     def explanation(self) -> str:
@@ -172,7 +181,7 @@ def score_test(
         following_changes.append(following_change(linear, column, is_free, kind, values))
         columns[name] = column + linear.jacobian_times_object(following_changes[-1])
     remaining = np.stack([column.ravel() for column in columns.values()])
-    residual = linear.residual.ravel()
+    residual = _without_effect_of_bounds(linear, is_free, kind, values).ravel()
     variances = linear.residual_variances(model_error)
     assert variances is not None
     weighted = remaining * variances.ravel()
@@ -203,10 +212,36 @@ def score_test(
         {name: _in_unit(name, value) for name, value in values_by_name},
         _chi_square(gradient[used], noise[np.ix_(used, used)]),
         correlation(estimate),
+        LEAST_LOSS_OF_AMPLITUDE if kind == "amplitude" else LEAST_LOSS,
         residual.size,
         max(scores, key=lambda cause: scores[cause]),
         tuple(undetected),
     )
+
+
+def _without_effect_of_bounds(
+    linear: LinearModel, is_free: NDArray[np.bool_], kind: Kind, values: NDArray[Any]
+) -> RealArray:
+    """Return the residuals without what a common change of all samples at a bound explains.
+
+    Noise would lift about half of such samples of an amplitude object beyond their bound, and the total
+    variation lowers contrast. The bound holds all of them on the same side, and what remains adds up to the
+    effect of a bench that is wrong by many standard deviations.
+    """
+    residual = linear.residual
+    if kind != "amplitude":
+        return residual
+    held, pushes = linear.model.lit & ~is_free, []
+    for at_bound in (held & (values >= 1.0), held & (values <= 0.0)):
+        if np.any(at_bound):
+            push = linear.jacobian_times_object(at_bound.astype(values.dtype))
+            change = following_change(linear, push, is_free, kind, values)
+            pushes.append((push + linear.jacobian_times_object(change)).ravel())
+    if not pushes:
+        return residual
+    basis = np.stack(pushes, axis=1)
+    sizes = np.linalg.lstsq(basis, residual.ravel(), rcond=None)[0]
+    return np.asarray(residual - (basis @ sizes).reshape(residual.shape))
 
 
 def _in_unit(name: str, value: float) -> float:

@@ -5,12 +5,16 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
+from wavesim.fields.field import Field
 from wavesim.reconstruction.found_object import FoundObject
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.scene.settings import PatchSettings
 from wavesim.sensor.imaging import image
+from wavesim.targets.patch import lit_patch
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
 SETTINGS = {"patch_mm": 0.05, "engine": "eikonal", "error": 0.1}
@@ -38,6 +42,19 @@ def test_a_bench_as_stated_is_explained_with_what_cannot_be_excluded() -> None:
     assert all(0.0 < one.size < 0.01 for one in verdict.undetected if one.parameter.endswith("_mm"))
     assert all(0.9 < one.correlation <= 1.0 for one in verdict.undetected)
     assert "Not excluded" in verdict.words
+
+
+def test_noise_on_samples_at_a_bound_is_no_other_bench() -> None:
+    """Half of the samples are at each bound, and noise that would lift them beyond it adds up."""
+    patch, _ = lit_patch(LENS, PatchSettings(patch_mm=0.05), LENS.wavelengths_um[0])
+    y, x = patch.grid.y_mm[:, None], patch.grid.x_mm
+    checks = (np.floor(y / 0.00417) + np.floor(x / 0.00417)) % 2
+    thing = Field(patch.grid, checks.astype(np.complex64), patch.wavelength_um)
+    frames = image(LENS, thing, field_stop_mm=patch.field_stop_mm, seed=0).frames
+    settings = SETTINGS | {"patch_mm": 0.05, "kind": "amplitude", "scale": 1.0}
+    result = reconstruct_frames(LENS, frames, truth=thing, **settings)
+    assert result.truth["object_correlation"] > 0.99
+    assert result.verdict.explained, result.verdict.words
 
 
 def test_a_bench_that_differs_is_not_trusted_although_the_noise_hides_it() -> None:
