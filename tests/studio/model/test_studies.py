@@ -29,8 +29,8 @@ def test_a_trial_is_seen_as_it_was_scored(paper_lens: Lens, tmp_path: Path) -> N
     assert found.summary.good == own.good == found.yields[-1]
     assert [one.good for one in found.summary.merits] == [one.good for one in own.merits]
     state = trial_what_if(tmp_path, 2).state(paper_lens)
-    worst = max(
-        rms_waves(refocus(PupilSampler(paper_lens, (0.0, h)).pupil(state)).pupil) for h in (0.0, 1.05, 1.5)
-    )
+    distance_mm = made.study.sampling.plane_distance_mm
+    samplers = [PupilSampler(paper_lens, (0.0, h), plane_distance_mm=distance_mm) for h in (0.0, 1.05, 1.5)]
+    worst = max(rms_waves(refocus(sampler.pupil(state)).pupil) for sampler in samplers)
     column = [merit.kind for merit in made.study.merits].index("rms_waves")
     assert worst == pytest.approx(found.trials.scores[2, column], rel=0.02)  # coarser pupils in the study
