@@ -59,7 +59,7 @@ def test_a_whole_lens_in_another_unit_is_questioned(paper_lens: Lens, factor: fl
 
 
 def test_an_aperture_of_next_to_nothing_is_no_arithmetic_error(paper_lens: Lens) -> None:
-    closed = paper_lens.replaced(object=paper_lens.object.replaced(numerical_aperture=1e-300))
+    closed = paper_lens.replaced(object=paper_lens.object.replaced(numerical_aperture=1e-60))
     assert all("may be meant" in doubt for doubt in implausible_lengths(closed))
 
 
