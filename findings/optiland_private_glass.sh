@@ -4,28 +4,10 @@
 # Guess from memory: a glass that the block PRV defines by its index has that index, or the file is refused.
 # Seen (Optiland 0.6.3): a warning that PRV is not supported; the surface then has an index of 1.
 # Why it matters: scripts that filter warnings get a lens without power. A model glass in the file (1.6:60) is read.
+source "$(dirname "${BASH_SOURCE[0]}")/inputs.sh"
 source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
 install_optiland
-cat > private.seq <<'LENS'
-RDM;LEN
-TITLE 'singlet'
-EPD 10
-DIM M
-WL 587.6
-REF 1
-XAN 0
-YAN 0
-PRV
-PWL 587.6
-'MINE1' 1.6
-END
-SO 0.0 1e11
-S 50.0 5.0 'MINE1'
-  STO
-S -50.0 45.0
-SI 0.0 0.0
-GO
-LENS
+private_glass_lens MINE1 > private.seq
 cat > model.seq <<'LENS'
 RDM;LEN
 TITLE 'singlet'

@@ -5,48 +5,11 @@
 # Seen (ray-optics 0.9.8): GlassCatalogNotFoundError for 'MINE_1', whose last part is taken for a catalogue. The same
 # file with the name 'MINE1' has the index that it states.
 # Why it matters: names with an underscore are common, and the message names the number behind it.
+source "$(dirname "${BASH_SOURCE[0]}")/inputs.sh"
 source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
 install_rayoptics
-cat > underscore.seq <<'LENS'
-RDM;LEN
-TITLE 'singlet'
-EPD 10
-DIM M
-WL 587.6
-REF 1
-XAN 0
-YAN 0
-PRV
-PWL 587.6
-'MINE_1' 1.6
-END
-SO 0.0 1e11
-S 50.0 5.0 'MINE_1'
-  STO
-S -50.0 45.0
-SI 0.0 0.0
-GO
-LENS
-cat > plain.seq <<'LENS'
-RDM;LEN
-TITLE 'singlet'
-EPD 10
-DIM M
-WL 587.6
-REF 1
-XAN 0
-YAN 0
-PRV
-PWL 587.6
-'MINE1' 1.6
-END
-SO 0.0 1e11
-S 50.0 5.0 'MINE1'
-  STO
-S -50.0 45.0
-SI 0.0 0.0
-GO
-LENS
+private_glass_lens MINE_1 > underscore.seq
+private_glass_lens MINE1 > plain.seq
 venv/bin/python - <<'PYTHON'
 import logging
 import sys

@@ -5,42 +5,10 @@
 # Seen (ray-optics 0.9.8): the reader appends it behind a profile that has ten coefficients of 0 already, and PARM 2
 # behind those. PARM 3 becomes the coefficient of y^24. At 5 mm, 1e-6 becomes a sag of 6e10 mm.
 # Why it matters: rays miss the surface, or end elsewhere without a message where the coefficient is small.
+source "$(dirname "${BASH_SOURCE[0]}")/inputs.sh"
 source "$(dirname "${BASH_SOURCE[0]}")/environments.sh"
 install_rayoptics
-cat > toroid.zmx <<'LENS'
-VERS 191106 258 36214
-MODE SEQ
-NAME lens
-UNIT MM X W X CM MR CPMM
-ENPD 10
-GCAT SCHOTT
-FTYP 0 0 1 1 0 0 0
-XFLN 0
-YFLN 0
-WAVM 1 0.5876 1
-PWAV 1
-SURF 0
-  TYPE STANDARD
-  CURV 0.0 0 0 0 0
-  DISZ INFINITY
-SURF 1
-  STOP
-  TYPE TOROIDAL
-  CURV 0.02 0 0 0 0
-  PARM 1 60
-  PARM 2 0
-  PARM 3 1e-6
-  DISZ 5
-  GLAS N-BK7 0 0 1.5168 64.17 0 0 0 0 0 0
-SURF 2
-  TYPE STANDARD
-  CURV -0.02 0 0 0 0
-  DISZ 45
-SURF 3
-  TYPE STANDARD
-  CURV 0.0 0 0 0 0
-  DISZ 0
-LENS
+toroid_lens > toroid.zmx
 venv/bin/python - <<'PYTHON'
 import logging
 import sys
