@@ -134,7 +134,7 @@ def object_uncertainty(
         column = (direction.astype(equations.columns.dtype) @ equations.columns).reshape(
             linear.residual.shape
         )
-        change = following_change(linear, column, equations.free_samples, equations.kind, values)
+        change, _ = following_change(linear, column, equations.free_samples, equations.kind, values)
         for parameter, compensation in equations.compensations.items():
             change = change + np.float32(direction[parameter]) * compensation
         changes.append(change)

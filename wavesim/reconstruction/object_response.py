@@ -70,8 +70,8 @@ def following_change(
     is_free: NDArray[np.bool_],
     kind: Kind,
     values: NDArray[Any],
-) -> NDArray[Any]:
-    """Return the change x of the transmission with the least |column + J x|, by CGLS.
+) -> tuple[NDArray[Any], RealArray]:
+    """Return the change x of the transmission with the least |column + J x|, and column + J x, by CGLS.
 
     Parameters
     ----------
@@ -102,4 +102,4 @@ def following_change(
         descent = -gradient(remaining)
         before, energy = energy, float(np.vdot(descent, descent).real)
         direction = descent + np.float32(energy / before) * direction
-    return change_of_object
+    return change_of_object, remaining

@@ -246,8 +246,8 @@ def squared_widths(
     is_free = free_samples(linear, values)
     remainders = []
     for column in source_columns(linear, source, names):
-        following = following_change(linear, column, is_free, kind, values)
-        remainders.append(np.ravel(column + linear.jacobian_times_object(following)))
+        _, remaining = following_change(linear, column, is_free, kind, values)
+        remainders.append(remaining.ravel())
     columns = np.stack(remainders)
     residual = linear.unbiased_residual().ravel()
     noise = linear.residual_variances(0.0)

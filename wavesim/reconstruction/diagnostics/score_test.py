@@ -7,10 +7,11 @@ gradients. With the residuals r and their variances V,
 
     theta = (D'D)^-1 D'r,    chi^2 = (D'r)' (D'V D)^-1 (D'r)
 
-are the estimated errors of the bench, and their significance. What samples of an amplitude object at a bound,
-0 or 1, leave in common is subtracted from r first (:func:`_without_effect_of_bounds`). Both come from one
-linear model about the result (:class:`wavesim.forward.linear_model.LinearModel`). A source that would have to
-be narrower than a point is left out.
+are the estimated errors of the bench, and their significance. Samples of an amplitude object at a bound, 0
+or 1, leave residuals of one sign, whose common effect is subtracted from r first
+(:func:`_without_effect_of_bounds`). Estimates and significance come from one linear model about the result
+(:class:`wavesim.forward.linear_model.LinearModel`). A source that would have to be narrower than a point is
+left out.
 
 References
 ----------
@@ -178,8 +179,8 @@ def score_test(
     following_changes = []
     for name, column in columns.items():
         progress(f"effect of {name} with the best object")
-        following_changes.append(following_change(linear, column, is_free, kind, values))
-        columns[name] = column + linear.jacobian_times_object(following_changes[-1])
+        change, columns[name] = following_change(linear, column, is_free, kind, values)
+        following_changes.append(change)
     remaining = np.stack([column.ravel() for column in columns.values()])
     residual = _without_effect_of_bounds(linear, is_free, kind, values).ravel()
     variances = linear.residual_variances(model_error)
@@ -235,8 +236,8 @@ def _without_effect_of_bounds(
     for at_bound in (held & (values >= 1.0), held & (values <= 0.0)):
         if np.any(at_bound):
             push = linear.jacobian_times_object(at_bound.astype(values.dtype))
-            change = following_change(linear, push, is_free, kind, values)
-            pushes.append((push + linear.jacobian_times_object(change)).ravel())
+            _, remaining = following_change(linear, push, is_free, kind, values)
+            pushes.append(remaining.ravel())
     if not pushes:
         return residual
     basis = np.stack(pushes, axis=1)
