@@ -94,8 +94,9 @@ def _preferred_displacement(
     )
     if rises.min() < -TOLERANCE * found.misfit[-1]:
         return steps[int(rises.argmin())]
-    bend = np.maximum(rises.reshape(2, 2).sum(axis=1), TOLERANCE * found.misfit[-1])
-    y, x = np.round(-np.diff(rises.reshape(2, 2), axis=1)[:, 0] / bend).clip(-2.0, 2.0) / 2.0
+    low, high = rises.reshape(2, 2).T  # at -1 and +1 samples along each axis
+    bend = np.maximum(low + high, TOLERANCE * found.misfit[-1])
+    y, x = np.round((low - high) / bend).clip(-2.0, 2.0) / 2.0
     return float(y), float(x)
 
 
