@@ -249,13 +249,12 @@ class StudyScoreModel:
 
     def refine(self, scales: Array) -> bool:
         """Fit losses of reconstructions again, to lenses near some scales; return whether there are any."""
-        amounts = self._fitted_amounts(scales, AROUND_BUDGET)
-        losses = [k for k, merit in enumerate(self.study.merits) if isinstance(merit, ReconstructionLoss)]
-        for k in losses:
-            merit = self.study.merits[k]
-            assert isinstance(merit, ReconstructionLoss)
-            self._merit_models[k] = fit_loss_surface(self._lens, self.study, merit, amounts)
-        return bool(losses)
+        amounts, is_fitted = self._fitted_amounts(scales, AROUND_BUDGET), False
+        for k, merit in enumerate(self.study.merits):
+            if isinstance(merit, ReconstructionLoss):
+                self._merit_models[k] = fit_loss_surface(self._lens, self.study, merit, amounts)
+                is_fitted = True
+        return is_fitted
 
     def _fitted_amounts(self, scales: Array, region: _Region) -> Array:
         """Return lenses to which losses are fitted, with deviations of about these scales."""
