@@ -176,7 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
     """Reconstruct all objects, print a table, and return the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="charts and photographs; default: all")
-    parser.add_argument("--bench", choices=BENCHES, default="1/16", help="size of the lens over the paper's")
+    parser.add_argument("--bench", choices=BENCHES, default="1/32", help="size of the lens over the paper's")
     parser.add_argument("--seeds", type=int, default=1, help="number of seeds of the noise")
     parser.add_argument("--frames", type=Path, help="folder that keeps recorded frames for the next run")
     parser.add_argument("--json", type=Path, help="file to which the results are written, too")
