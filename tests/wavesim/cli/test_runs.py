@@ -8,13 +8,13 @@ from wavesim.cli.runs import progress
 
 
 @pytest.mark.parametrize(
-    ("resumes", "given", "told"),
+    ("resumes", "message", "end"),
     [(False, (), "from the beginning"), (False, ("kept",), "kept"), (True, (), "")],
 )
 def test_an_interrupt_of_a_run_without_checkpoints_says_that_it_is_lost(
-    resumes: bool, given: tuple[str, ...], told: str
+    resumes: bool, message: tuple[str, ...], end: str
 ) -> None:
     with pytest.raises(KeyboardInterrupt) as stop, progress(resumes=resumes):
-        raise KeyboardInterrupt(*given)
-    assert " ".join(stop.value.args).endswith(told)
-    assert bool(stop.value.args) == bool(told)
+        raise KeyboardInterrupt(*message)
+    assert " ".join(stop.value.args).endswith(end)
+    assert bool(stop.value.args) == bool(end)
