@@ -7,9 +7,11 @@ That scale is right for charts on a clear ground, and too low for photographs an
 ground, whose bright parts it would clip.
 
 The object found is therefore tested: a few iterations without a limit show where its samples at the limit
-tend to. Where the frames raise them by more than noise does, the search continues without a limit, and the
-brightest parts of its result become the limit. Where hardly any sample is at the limit, the limit is too high
-and is lowered to the transmission of the parts through which the brightest fifth of the light has passed.
+tend to. Where the frames raise them by more than noise does, two searches without a limit follow, and the
+brightest parts of the better result become the limit. One continues. The other starts anew from an even
+object, because a limit that is far too low can lead to an object from which the first does not return. Where
+hardly any sample is at the limit, the limit is too high and is lowered to the transmission of the parts
+through which the brightest fifth of the light has passed.
 """
 
 from __future__ import annotations
@@ -105,7 +107,9 @@ def with_own_limit(
         smoothed = _smoothed(lifted, power, SMOOTHING * noise_of_step / found.scale)
         if fraction == 0.0 or _mean(smoothed, power * is_at_limit) <= 1.0 + LARGEST_RISE:
             return found
-        found = _after(found, lifted, solve(lifted.transmission, found.scale, bounded=False))
+        starts = (lifted.transmission, _even(found))
+        searches = [solve(start, found.scale, bounded=False) for start in starts]
+        found = _after(found, lifted, min(searches, key=lambda search: search.misfit[-1]))
         break
     smoothed = _smoothed(found, power, OVERSHOOTS * _root_mean_square(_real(found), power))
     brightest = _brightest(smoothed, power, BRIGHTEST)
@@ -118,6 +122,11 @@ def _after(*searches: Reconstructed) -> Reconstructed:
     """Return the result of the last search with the misfits of all iterations that led to it."""
     misfit = sum((search.misfit for search in searches), ())
     return replace(searches[-1], misfit=misfit)
+
+
+def _even(found: Reconstructed) -> Field:
+    """Return a transmission of 1 everywhere."""
+    return found.transmission.with_values(np.ones_like(found.transmission.values))
 
 
 def _real(found: Reconstructed) -> Values:

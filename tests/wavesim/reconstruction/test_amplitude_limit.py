@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -120,3 +120,27 @@ def test_the_clear_ground_of_a_chart_is_1(bench: Bench) -> None:
     first, found = bench.found(bench.recorded(true))
     assert found.scale == pytest.approx(SCALE, rel=0.03)
     assert correlation(found, true, bench) > correlation(first, true, bench) - 0.002
+
+
+def test_a_limit_that_is_far_too_low_does_not_decide_what_is_found(bench: Bench) -> None:
+    """The search that starts anew is kept where it fits better than the one that continues."""
+    ones = np.ones_like(bench.light.values)
+
+    def search(start: Field, scale: float, *, bounded: bool, iterations: int | None = None) -> Reconstructed:
+        is_even = bool(np.all(start.values == 1.0)) and iterations is None
+        value, misfit = (0.5, 0.1) if is_even else (1.2, 0.2)
+        found = start.with_values((value * ones).astype(np.complex64)) if not bounded else start
+        return Reconstructed(found, (misfit,), (), scale, "converged")
+
+    first = Reconstructed(bench.light.with_values(ones), (0.3,), (), SCALE, "converged")
+    found = with_own_limit(search, replace(first, transmission=trapped(bench)), bench.light, 1e-3)
+    assert found.scale == pytest.approx(0.5 * SCALE)
+    assert found.transmission.values.real[bench.inside] == pytest.approx(1.0)
+
+
+def trapped(bench: Bench) -> Field:
+    """Return an object of which half is at the limit."""
+    x = bench.light.grid.x_mm
+    return bench.light.with_values(
+        np.where(x > 0.0, 1.0, 0.4).astype(np.complex64) * np.ones_like(bench.light.values)
+    )
