@@ -272,16 +272,19 @@ class CauseTrials:
     def _sources(
         self, cause: str, words: str, name: str, unit_of: Callable[[Field], float]
     ) -> Iterator[Trial]:
-        """Yield trials of wider and wider sources, or broader and broader bands, as long as they help."""
-        best = 1.0
+        """Yield trials of wider and wider sources, or broader and broader bands, as long as they help.
+
+        A width that is far too small may hardly change the misfit, or raise it a little.
+        """
+        best, clearly_worse = 1.0, 1.02
         for factor in SOURCES:
             width = factor * unit_of(self.light)
             source = replace(self.source, **{name: width})
             trial = self._trial(self._change(cause, words.format(width), source=source))
             yield trial
-            if trial.misfit_ratio > best:
+            if trial.misfit_ratio > clearly_worse * best:
                 return
-            best = trial.misfit_ratio
+            best = min(best, trial.misfit_ratio)
 
     def _displacements(self) -> Iterator[Trial]:
         """Yield trials of a displaced sensor, tilted light, or a decentered lens."""
