@@ -15,9 +15,10 @@ ADVICE = {
     "field stop position": "measure the field stop, and give --field-stop-at-mm and --field-stop-mm",
     "field stop": "give --field-stop-at-mm and --field-stop-mm, or --field-stop find",
     "light": "run `wavesim calibrate`: it finds the light's direction and shape",
-    "source": "state the width of the source (--source-deg), or let it be found (--source-deg find)",
-    "bandwidth": "state the bandwidth (--bandwidth-nm), let it be found (--bandwidth-nm find), or "
-    "narrow it with a filter",
+    "source": "state the width of the source (--source-deg), or let width and bandwidth, which blur alike, "
+    "be found (--source-deg find --bandwidth-nm find)",
+    "bandwidth": "state the bandwidth (--bandwidth-nm), let both widths, which blur alike, be found "
+    "(--source-deg find --bandwidth-nm find), or narrow the band with a filter",
     "vibration": "mount the camera more firmly, expose for a shorter time, or run `wavesim calibrate`",
     "iterations": "give more --iterations",
     "noise parameters": "compare read noise, gain and offset with the camera's data sheet; use raw pictures",

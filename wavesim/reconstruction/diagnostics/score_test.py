@@ -229,7 +229,7 @@ def _without_effect_of_bounds(
     variation lowers contrast. The bound holds all of them on the same side, and what remains adds up to the
     effect of a bench that is wrong by many standard deviations.
     """
-    residual = linear.residual
+    residual = linear.unbiased_residual()
     if kind != "amplitude":
         return residual
     held, pushes = linear.model.lit & ~is_free, []

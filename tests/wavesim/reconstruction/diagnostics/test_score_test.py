@@ -64,13 +64,15 @@ def test_a_bench_that_differs_is_not_trusted_although_the_noise_hides_it() -> No
     assert "tilt x +0." in verdict.evidence
 
 
-@pytest.mark.parametrize(
-    ("errors", "cause"), [({"bandwidth_nm": 40.0}, "bandwidth"), ({"source_deg": 0.3}, "source")]
-)
-def test_light_that_is_broader_or_wider_than_stated_is_not_trusted(
-    errors: dict[str, float], cause: str
-) -> None:
-    """Such light blurs the pictures, and a blurred object explains them nearly within the noise."""
+@pytest.mark.parametrize("errors", [{"bandwidth_nm": 40.0}, {"source_deg": 0.3}])
+def test_light_that_is_broader_or_wider_than_stated_is_not_trusted(errors: dict[str, float]) -> None:
+    """Such light blurs the pictures, and a blurred object explains them nearly within the noise.
+
+    After so short an exposure, it is hardly known which of both blurs them.
+    """
     verdict = found(**errors).verdict
     assert verdict.within, verdict.words
-    assert (verdict.explained, verdict.cause) == (False, cause), verdict.words
+    assert not verdict.explained, verdict.words
+    assert verdict.cause in ("source", "bandwidth")
+    assert "--source-deg find" in verdict.words
+    assert "--bandwidth-nm find" in verdict.words
