@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ from wavesim.metrics.goodness_of_fit import (
 from wavesim.metrics.low_orders import smooth_phase_waves
 from wavesim.metrics.object_error import correlation_with_error, held_out_error, object_strength
 from wavesim.metrics.plane_residuals import PlaneResidual
+from wavesim.reconstruction.diagnostics.bench_control import Bench, measured_part
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.reconstruction.diagnostics.held_out import is_given, residual_maps_of
 from wavesim.reconstruction.diagnostics.orientation import orientation_findings
@@ -200,21 +202,39 @@ def _score_test(
     found: MethodResult,
     progress: Progress,
 ) -> ScoreTest | None:
-    """Return the score test of the bench, or None where rays or samples do not allow it."""
+    """Return the score test of the bench, or None where rays or samples do not allow it.
+
+    Where it prefers another bench, a control tells how much of its significance is due to the bench.
+    """
     assert found.whole is not None
+    scale = found.of_method["scale"]
     try:
-        return score_test(
+        test = score_test(
             engine,
             case.light,
             case.given,
             found.whole.values,
             settings.kind,
-            scale=found.of_method["scale"],
+            scale=scale,
             fits_scale=settings.scale is None,
             fill_factor=settings.fill_factor,
             model_error=found.model_error,
             progress=progress,
         )
+        if not test.is_preferred:
+            return test
+        progress("control: the object on the preferred bench")
+        part = measured_part(
+            Bench(engine, case.light, case.given),
+            found.whole,
+            test.estimate,
+            test.fall,
+            kind=settings.kind,
+            tv_weight=settings.tv_weight,
+            scale=scale,
+            fill_factor=settings.fill_factor,
+        )
+        return replace(test, chi_square=min(max(part, 0.0), 1.0) * test.chi_square)
     except TransferLensError:
         return None
 

@@ -84,6 +84,8 @@ class ScoreTest:
         Estimated errors of the bench, by parameter.
     chi_square : float
         Significance of the errors: about the number of parameters where the bench is as stated.
+    fall : float
+        Fall of the squared misfit that these errors would explain.
     correlation : float
         Correlation (:func:`wavesim.metrics.contrast.object_correlation`) of the object found with the one
         that these errors would give.
@@ -99,6 +101,7 @@ class ScoreTest:
 
     estimate: Mapping[str, float]
     chi_square: float
+    fall: float
     correlation: float
     least_loss: float
     pixels: int
@@ -212,6 +215,7 @@ def score_test(
     return ScoreTest(
         {name: _in_unit(name, value) for name, value in values_by_name},
         _chi_square(gradient[used], noise[np.ix_(used, used)]),
+        float(gradient @ estimate),
         correlation(estimate),
         LEAST_LOSS_OF_AMPLITUDE if kind == "amplitude" else LEAST_LOSS,
         residual.size,
