@@ -512,7 +512,7 @@ def _solve(
         kind=settings.kind,
         tv_weight=settings.tv_weight,
         iterations=iterations or settings.most_iterations,
-        until_noise=True,
+        until_noise=_ends_at_noise(settings, engine),
         scale=settings.scale if scale is None else scale,
         start=start,
         fill_factor=settings.fill_factor,
@@ -524,6 +524,15 @@ def _solve(
         bounded=bounded,
         tv_factor=tv_factor,
     )
+
+
+def _ends_at_noise(settings: ReconstructionSettings, engine: Engine) -> bool:
+    """Return whether iterations end at the noise, and not where the misfit has converged.
+
+    A complex object has so many unknowns that further iterations would fit the noise. On a whole field,
+    an iteration takes too long.
+    """
+    return settings.kind == "complex" or isinstance(engine, Tiled)
 
 
 def _placed(
