@@ -57,6 +57,7 @@ from wavesim.reconstruction.problem import (
 )
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
+from wavesim.reconstruction.search_rules import ends_at_noise, tv_factor
 from wavesim.reconstruction.source_search import WIDTHS, find_source, sought_widths
 from wavesim.runtime.checkpoint import STOP_TRIALS, Checkpoint
 from wavesim.runtime.memory import Memory
@@ -502,7 +503,7 @@ def _solve(
     given: Sequence[Measurement] = (),
     iterations: int | None = None,
     scale: float | None = None,
-    tv_factor: float = 1.0,
+    factor: float = 1.0,
 ) -> Reconstructed:
     """Return the object that iterations with one engine find, by default from all pixels of the case."""
     return reconstruct(
@@ -512,7 +513,7 @@ def _solve(
         kind=settings.kind,
         tv_weight=settings.tv_weight,
         iterations=iterations or settings.most_iterations,
-        until_noise=_ends_at_noise(settings, engine),
+        until_noise=ends_at_noise(settings.kind, engine),
         scale=settings.scale if scale is None else scale,
         start=start,
         fill_factor=settings.fill_factor,
@@ -522,17 +523,8 @@ def _solve(
         scratch=case.scratch,
         modes=case.modes,
         bounded=bounded,
-        tv_factor=tv_factor,
+        tv_factor=factor * tv_factor(settings.kind, engine, given or case.given),
     )
-
-
-def _ends_at_noise(settings: ReconstructionSettings, engine: Engine) -> bool:
-    """Return whether iterations end at the noise, and not where the misfit has converged.
-
-    A complex object has so many unknowns that further iterations would fit the noise. On a whole field,
-    an iteration takes too long.
-    """
-    return settings.kind == "complex" or isinstance(engine, Tiled)
 
 
 def _placed(
@@ -602,7 +594,7 @@ def _with_less_bias(
         reporter.step(f"for the verdict, with {factor:g} of the total variation")
         own = None if settings.kind == "phase" and settings.scale is None else scale
         return _solve(
-            case, settings, engine, reporter, start, iterations=iterations, scale=own, tv_factor=factor
+            case, settings, engine, reporter, start, iterations=iterations, scale=own, factor=factor
         )
 
     return with_less_bias(solve, found, noise_misfit(case.given), settings.most_iterations)
