@@ -41,6 +41,7 @@ from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.reconstruction.problem import ReconstructionProblem
+from wavesim.reconstruction.search_rules import ends_at_noise, tv_factor
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.settings import ReconstructionSettings
@@ -427,11 +428,12 @@ def agreement_of_starts(
             kind=settings.kind,
             tv_weight=settings.tv_weight,
             iterations=settings.most_iterations,
-            until_noise=True,
+            until_noise=ends_at_noise(settings.kind, engine),
             scale=found.scale if settings.kind == "amplitude" else settings.scale,
             start=light.with_values(first.astype(light.values.dtype)),
             fill_factor=settings.fill_factor,
             modes=modes,
+            tv_factor=tv_factor(settings.kind, engine, recorded),
         )
         if other.misfit[-1] <= LARGEST_MISFIT_RATIO * found.misfit[-1]:
             ends.append(light.with_values(light.values * other.transmission.values))
