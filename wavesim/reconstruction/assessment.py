@@ -222,9 +222,12 @@ def _score_test(
             model_error=found.model_error,
             progress=progress,
         )
-        if not test.is_preferred:
-            return test
-        progress("control: the object on the preferred bench")
+    except TransferLensError:
+        return None
+    if not test.is_preferred:
+        return test
+    progress("control: the object on the preferred bench")
+    try:
         part = measured_part(
             Bench(engine, case.light, case.given),
             found.whole,
@@ -235,9 +238,9 @@ def _score_test(
             scale=scale,
             fill_factor=settings.fill_factor,
         )
-        return replace(test, chi_square=min(max(part, 0.0), 1.0) * test.chi_square)
-    except TransferLensError:
-        return None
+    except TransferLensError:  # without a control, the score test alone decides
+        return test
+    return replace(test, chi_square=min(max(part, 0.0), 1.0) * test.chi_square)
 
 
 def stop_search(

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
+from lensdesign.errors import SamplingError
 from wavesim.fields.field import Field
+from wavesim.reconstruction import assessment
 from wavesim.reconstruction.found_object import FoundObject
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.settings import PatchSettings
@@ -62,6 +64,17 @@ def test_a_bench_that_differs_is_not_trusted_although_the_noise_hides_it() -> No
     assert verdict.within, verdict.words
     assert (verdict.explained, verdict.cause) == (False, "mounting"), verdict.words
     assert "tilt x +0." in verdict.evidence
+
+
+def test_a_bench_without_a_control_stays_suspected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where rays or samples do not allow the preferred bench, the score test alone decides."""
+
+    def refuse(*_: Any, **__: Any) -> float:
+        raise SamplingError("no ray passes the lens")
+
+    monkeypatch.setattr(assessment, "measured_part", refuse)
+    verdict = found.__wrapped__(decenter_x_mm=0.001, tilt_x_deg=0.3).verdict
+    assert (verdict.explained, verdict.cause) == (False, "mounting"), verdict.words
 
 
 @pytest.mark.parametrize("errors", [{"bandwidth_nm": 40.0}, {"source_deg": 0.3}])
