@@ -16,7 +16,9 @@ from typing import Literal
 
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
+from wavesim.reconstruction.diagnostics.score_test import MOUNTING
 from wavesim.reconstruction.object_solver import reconstruct
+from wavesim.reconstruction.search_rules import tv_factor
 from wavesim.reconstruction.source_search import modes_on
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
@@ -47,11 +49,9 @@ def displaced_bench(bench: Bench, errors: Mapping[str, float]) -> Bench:
     """
     scene = bench.engine.scene
     grid, pose = scene.object_grid, scene.pose
-    moves = {
-        name: getattr(pose, name) + errors[name]
-        for name in ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg")
-    }
-    grid = grid.at(grid.z_mm - errors["working_distance_mm"])
+    *of_lens, working_distance = MOUNTING
+    moves = {name: getattr(pose, name) + errors[name] for name in of_lens}
+    grid = grid.at(grid.z_mm - errors[working_distance])
     planes = [bench.recorded[0]]
     for number, plane in enumerate(bench.recorded[1:], start=2):
         x_um, y_um, distance_mm = (
@@ -126,6 +126,7 @@ def measured_part(
             fill_factor=fill_factor,
             modes=modes_on(one.light, one.source),
             residuals=False,
+            tv_factor=tv_factor(kind, one.engine, one.recorded),
         )
         misfits.append(found.misfit)
     last = min(map(len, misfits)) - 1
