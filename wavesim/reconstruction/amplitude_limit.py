@@ -56,13 +56,13 @@ be the brightest parts, over the root mean square transmission.
 
 
 class LimitedSolver(Protocol):
-    """Continues the search for an amplitude object from a start at a stated scale.
+    """Searches an amplitude object at a stated scale, from a start or, without one, from an even object.
 
     The amplitude is limited to 1 or not; without a number of iterations, it searches until it has converged.
     """
 
     def __call__(
-        self, start: Field, scale: float, *, bounded: bool, iterations: int | None = None
+        self, start: Field | None, scale: float, *, bounded: bool, iterations: int | None = None
     ) -> Reconstructed: ...
 
 
@@ -74,7 +74,7 @@ def with_own_limit(
     Parameters
     ----------
     solve
-        Continues the search.
+        Searches on, or anew.
     found
         Object of the first search, whose scale was fitted.
     light
@@ -107,8 +107,7 @@ def with_own_limit(
         smoothed = _smoothed(lifted, power, SMOOTHING * noise_of_step / found.scale)
         if fraction == 0.0 or _mean(smoothed, power * is_at_limit) <= 1.0 + LARGEST_RISE:
             return found
-        starts = (lifted.transmission, _even(found))
-        searches = [solve(start, found.scale, bounded=False) for start in starts]
+        searches = [solve(start, found.scale, bounded=False) for start in (lifted.transmission, None)]
         found = _after(found, lifted, min(searches, key=lambda search: search.misfit[-1]))
         break
     smoothed = _smoothed(found, power, OVERSHOOTS * _root_mean_square(_real(found), power))
@@ -122,11 +121,6 @@ def _after(*searches: Reconstructed) -> Reconstructed:
     """Return the result of the last search with the misfits of all iterations that led to it."""
     misfit = sum((search.misfit for search in searches), ())
     return replace(searches[-1], misfit=misfit)
-
-
-def _even(found: Reconstructed) -> Field:
-    """Return a transmission of 1 everywhere."""
-    return found.transmission.with_values(np.ones_like(found.transmission.values))
 
 
 def _real(found: Reconstructed) -> Values:

@@ -415,6 +415,8 @@ def agreement_of_starts(
     if settings.starts == 1:
         return None
     ends = [light.with_values(light.values * found.transmission.values)]
+    # The total variation would hold the edges of a random start.
+    without_tv = 0 if ends_at_noise(settings.kind, engine) else settings.most_iterations
     # Root mean square of the random phases of complex objects at the start; amplitudes are from 0 to 1.
     phase_rad = 1.0
     for seed in range(1, settings.starts):
@@ -430,13 +432,14 @@ def agreement_of_starts(
             recorded,
             kind=settings.kind,
             tv_weight=settings.tv_weight,
-            iterations=settings.most_iterations,
+            iterations=without_tv + settings.most_iterations,
             until_noise=ends_at_noise(settings.kind, engine),
             scale=found.scale if settings.kind == "amplitude" else settings.scale,
             start=light.with_values(first.astype(light.values.dtype)),
             fill_factor=settings.fill_factor,
             modes=modes,
             tv_factor=tv_factor(settings.kind, engine, recorded),
+            iterations_without_tv=without_tv,
         )
         if other.misfit[-1] <= LARGEST_MISFIT_RATIO * found.misfit[-1]:
             ends.append(light.with_values(light.values * other.transmission.values))

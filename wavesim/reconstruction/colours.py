@@ -52,6 +52,7 @@ from wavesim.reconstruction.object_solver import (
     TV_PER_NOISE,
     ProximalDescent,
     SolverState,
+    Stage,
 )
 from wavesim.reconstruction.prior_bias import LEAST_FACTOR, may_be_biased
 from wavesim.reconstruction.problem import validate_frames
@@ -661,10 +662,10 @@ class _Search:
         )
         kind: Kind = "amplitude" if settings.kind == "amplitude" else "complex"
         most = iterations or settings.iterations
-        stages = [(kind, most)]
+        stages = [Stage(kind, most)]
         if settings.start == "amplitude" and start is None and kind == "complex":
-            stages.insert(0, ("amplitude", min(AMPLITUDE_START, most)))
-        dtype = model.real if stages[0][0] == "amplitude" else model.dtype
+            stages.insert(0, Stage("amplitude", min(AMPLITUDE_START, most)))
+        dtype = model.real if stages[0].kind == "amplitude" else model.dtype
         if start is None:
             first: NDArray[Any] = np.ones(model.lit.shape, dtype)
         else:

@@ -45,7 +45,8 @@ from wavesim.reconstruction.coarse_start import (
 from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
-from wavesim.reconstruction.growing_aperture import STAGES, with_growing_aperture
+from wavesim.reconstruction.free_edges import with_free_edges
+from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS, STAGES, with_growing_aperture
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.position import at_best_position
 from wavesim.reconstruction.prior_bias import with_less_bias
@@ -408,6 +409,9 @@ def _find_object(
             found = _solve(
                 case, settings, engine, reporter, first, checkpoint, initial.pop() if initial else None
             )
+            found = _with_own_limit(case, settings, engine, reporter, found)
+            if not curve:
+                found = _with_free_edges(case, settings, engine, reporter, found)
             found = _placed(case, settings, engine, reporter, found)
             judged = _with_less_bias(case, settings, engine, reporter, found)
             if not curve and may_be_stagnated(case, settings, judged):
@@ -504,6 +508,7 @@ def _solve(
     iterations: int | None = None,
     scale: float | None = None,
     factor: float = 1.0,
+    iterations_without_tv: int = 0,
 ) -> Reconstructed:
     """Return the object that iterations with one engine find, by default from all pixels of the case."""
     return reconstruct(
@@ -524,6 +529,7 @@ def _solve(
         modes=case.modes,
         bounded=bounded,
         tv_factor=factor * tv_factor(settings.kind, engine, given or case.given),
+        iterations_without_tv=iterations_without_tv,
     )
 
 
@@ -535,17 +541,38 @@ def _placed(
     found: Reconstructed,
 ) -> Reconstructed:
     """Return an object with its own upper limit at the position that the frames prefer."""
-    limited = _with_own_limit(case, settings, engine, reporter, found)
     if settings.kind == "complex" or isinstance(case.engine, Tiled):
-        return limited
+        return found
     reporter.step("position of the object")
 
     def solve(start: Field, scale: float, *, iterations: int | None = None) -> Reconstructed:
         own = None if settings.kind == "phase" and settings.scale is None else scale
         return _solve(case, settings, engine, reporter, start, iterations=iterations, scale=own)
 
-    placed = at_best_position(solve, limited, case.light, noise_misfit(case.given))
-    return limited if placed is limited else _with_own_limit(case, settings, engine, reporter, placed)
+    placed = at_best_position(solve, found, case.light, noise_misfit(case.given))
+    return found if placed is found else _with_own_limit(case, settings, engine, reporter, placed)
+
+
+def _with_free_edges(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    reporter: ProgressReporter,
+    found: Reconstructed,
+) -> Reconstructed:
+    """Return an amplitude or phase object whose edges the total variation does not hold in wrong places."""
+    if settings.kind == "complex" or isinstance(case.engine, Tiled) or settings.tv_weight == 0.0:
+        return found
+    if found.stopped_because == "iterations" and len(found.misfit) < STAGE_ITERATIONS:
+        return found  # more iterations are the remedy
+
+    def search() -> Reconstructed:
+        reporter.step("search anew, without total variation at first")
+        most = settings.most_iterations
+        anew = partial(_solve, case, settings, engine, reporter, None, iterations=2 * most)
+        return _with_own_limit(case, settings, engine, reporter, anew(iterations_without_tv=most), most)
+
+    return with_free_edges(search, found, noise_misfit(case.given))
 
 
 def _with_own_limit(
@@ -554,10 +581,12 @@ def _with_own_limit(
     engine: Engine,
     reporter: ProgressReporter,
     found: Reconstructed,
+    iterations_without_tv: int = 0,
 ) -> Reconstructed:
     """Return an amplitude object of unknown scale whose brightest parts are 1.
 
-    On a whole field, the scale remains that of an object that is bright everywhere.
+    On a whole field, the scale remains that of an object that is bright everywhere. Searches that start anew
+    have the stated number of first iterations without total variation.
     """
     if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
         return found
@@ -566,10 +595,14 @@ def _with_own_limit(
     noise_of_step = model.noise_of_step()
     del model
 
-    def solve(start: Field, scale: float, *, bounded: bool, iterations: int | None = None) -> Reconstructed:
-        return _solve(
-            case, settings, engine, reporter, start, bounded=bounded, iterations=iterations, scale=scale
-        )
+    def solve(
+        start: Field | None, scale: float, *, bounded: bool, iterations: int | None = None
+    ) -> Reconstructed:
+        run = partial(_solve, case, settings, engine, reporter, start, bounded=bounded, scale=scale)
+        if start is None and iterations_without_tv:
+            most = iterations_without_tv + settings.most_iterations
+            return run(iterations=most, iterations_without_tv=iterations_without_tv)
+        return run(iterations=iterations)
 
     return with_own_limit(solve, found, case.light, noise_of_step)
 
@@ -622,7 +655,8 @@ def _leave_local_minimum(
     for search in searches:
         if excess <= 1.0:
             break
-        other = _placed(case, settings, engine, reporter, search())
+        other = _with_own_limit(case, settings, engine, reporter, search())
+        other = _placed(case, settings, engine, reporter, other)
         other_judged = _with_less_bias(case, settings, engine, reporter, other)
         # The result of another search is preferred only if its residuals are clearly smaller. The errors of
         # the engine, which the excess contains, are the same in both.

@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +129,7 @@ class SolverState:
     scale : float or None
         Measured amplitude per unit of the modelled amplitude; None before it is known.
     stage, began : int
-        Index of the current stage (kind of object that is sought), and number of iterations before it.
+        Index of the current :class:`Stage`, and number of iterations before it.
     """
 
     transmission: Array
@@ -139,6 +139,14 @@ class SolverState:
     scale: float | None
     stage: int
     began: int
+
+
+class Stage(NamedTuple):
+    """Stage of a search: kind of object, iteration at which it ends, and whether it has total variation."""
+
+    kind: Kind
+    until: int
+    has_tv: bool = True
 
 
 def reconstruct(
@@ -163,6 +171,7 @@ def reconstruct(
     inner_iterations: int = INNER_ITERATIONS,
     bounded: bool = True,
     tv_factor: float = 1.0,
+    iterations_without_tv: int = 0,
 ) -> Reconstructed:
     """Find the transmission of the object behind measured amplitudes.
 
@@ -225,6 +234,10 @@ def reconstruct(
         everywhere. Bright parts of an object on a dark ground may then have to exceed 1: use False.
     tv_factor
         Factor of an automatic weight of the total variation.
+    iterations_without_tv
+        Largest number of first iterations without total variation, which end early where the misfit
+        converges. The total variation holds edges where the first iterations have put them; without it,
+        they move to where the measured amplitudes have them.
 
     Returns
     -------
@@ -294,12 +307,14 @@ def reconstruct(
         inner_iterations,
         bounded,
     )
-    stages = [(kind, iterations)]
+    stages = [Stage(kind, iterations)]
+    if iterations_without_tv:
+        stages.insert(0, Stage(kind, min(iterations_without_tv, iterations), has_tv=False))
     if start == "amplitude":
-        stages.insert(0, ("amplitude", min(AMPLITUDE_START, iterations)))
+        stages.insert(0, Stage("amplitude", min(AMPLITUDE_START, iterations)))
     # The list gives up the initial state, so that its arrays do not stay in memory to the end.
     stated = None if scale is None else model.scale
-    initial = [resume or _initial_state(model, start, stages[0][0], stated, scratch)]
+    initial = [resume or _initial_state(model, start, stages[0].kind, stated, scratch)]
     del resume
     state = descent.run(initial.pop(), stages)
     now, misfits, stop_reason = state.transmission, state.misfit, descent.stop(state) or "iterations"
@@ -346,19 +361,19 @@ class ProximalDescent:
     bounded: bool
     prox: Callable[[Array, float], Array] = prox_tv
 
-    def run(self, state: SolverState, stages: Sequence[tuple[Kind, int]]) -> SolverState:
-        """Return the state after all stages (kind of object, and iteration at which the stage ends)."""
-        for stage, (kind, until) in enumerate(stages):
-            if stage < state.stage:
+    def run(self, state: SolverState, stages: Sequence[Stage]) -> SolverState:
+        """Return the state after all stages."""
+        for index, stage in enumerate(stages):
+            if index < state.stage:
                 continue
-            if stage > state.stage:
+            if index > state.stage:
                 now, misfit = state.transmission, state.misfit
-                state = SolverState(now, now, 0.0, misfit, state.scale, stage, len(misfit))
+                state = SolverState(now, now, 0.0, misfit, state.scale, index, len(misfit))
                 del now
-            while len(state.misfit) < until:
+            while len(state.misfit) < stage.until:
                 if self.stop(state) is not None:
                     break
-                state = self._next_state(state, kind)
+                state = self._next_state(state, stage)
                 if self.progress is not None:
                     self.progress(len(state.misfit) - 1, state.misfit[-1])
                 if self.keep is not None:
@@ -372,11 +387,12 @@ class ProximalDescent:
         # A pure phase cannot take over a part of the scale.
         return self.fits_scale and (kind == "phase" or iterations < scale_iterations)
 
-    def _next_state(self, state: SolverState, kind: Kind) -> SolverState:
+    def _next_state(self, state: SolverState, stage: Stage) -> SolverState:
+        kind = stage.kind
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         is_far = self._is_far(state)
         point, misfit, scale = self._gradient_step(state, kind, self.inner_iterations if is_far else 1)
-        weight = self._tv_weight(misfit, scale)
+        weight = self._tv_weight(misfit, scale) if stage.has_tv else 0.0
         point = self.prox(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * weight)
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)

@@ -54,8 +54,15 @@ def stop_reason(misfits: Sequence[float], noise: float | None) -> Stop | None:
 
 
 def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
-    """Return whether the misfit hardly changed over the last iterations."""
-    return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < TOLERANCE
+    """Return whether the misfit hardly changed over the last iterations.
+
+    Where it has risen, as it does once the total variation begins, its range counts. Around a maximum, first
+    and last misfit are equal although it still changes.
+    """
+    last = misfits[-1 - iterations :]
+    has_risen = last[-1] > misfits[0]
+    change = max(last) - min(last) if has_risen else abs(last[0] - last[-1])
+    return len(last) > iterations and change < TOLERANCE * last[-1]
 
 
 def expected_change(misfits: Sequence[float]) -> float:

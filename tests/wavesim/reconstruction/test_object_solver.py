@@ -586,6 +586,7 @@ def test_a_run_continues_from_any_state_as_if_it_had_not_been_interrupted(
         "start": start,
         "until_noise": until_noise,
         "fill_factor": 0.9,
+        "iterations_without_tv": data.draw(strategies.sampled_from([0, 3]), label="without_tv"),
     }
     states: list[SolverState] = []
     given_planes = tiny_case.engine, tiny_case.illumination, tiny_case.recorded

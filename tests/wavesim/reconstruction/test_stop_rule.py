@@ -1,0 +1,25 @@
+"""Rule by which the iterations of the object solver end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wavesim.reconstruction.stop_rule import SPAN, TOLERANCE, stop_reason
+
+
+def test_a_misfit_that_falls_ends_where_it_hardly_changes() -> None:
+    misfits = tuple(1.0 + 0.5 ** np.arange(30.0))
+    reasons = [stop_reason(misfits[:count], None) for count in range(1, 31)]
+    first = reasons.index("converged")
+    assert misfits[first - SPAN] / misfits[first] - 1.0 < TOLERANCE
+    assert misfits[first - 1 - SPAN] / misfits[first - 1] - 1.0 > TOLERANCE
+    assert reasons[first:] == ["converged"] * (30 - first)
+
+
+@pytest.mark.parametrize("height", [2.0 * TOLERANCE, 0.5 * TOLERANCE], ids=["high", "flat"])
+def test_a_maximum_is_no_convergence_unless_it_is_flat(height: float) -> None:
+    """With the total variation, the misfit rises at first. Around a maximum it is equal on both sides."""
+    around = np.linspace(-1.0, 1.0, SPAN + 1)
+    misfits = [0.9, *(1.0 + height * (1.0 - around**2))]
+    assert stop_reason(misfits, None) == (None if height > TOLERANCE else "converged")
