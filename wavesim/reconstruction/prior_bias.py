@@ -44,16 +44,16 @@ def with_less_bias(
     misfit_of_noise
         Misfit of noise alone (:func:`wavesim.sensor.measurement.noise_misfit`); None if it is not known.
     iterations
-        Largest number of all iterations, with those that found the object.
+        Largest number of iterations of all copies.
 
     Returns
     -------
     Reconstructed
-        The object itself if its misfit is that of noise, if it is far above, or if no iterations are left.
+        The object itself if its misfit is that of noise, if it is far above, or if it has not converged.
     """
     factor, judged = 1.0, found
     while factor > LEAST_FACTOR and may_be_biased(judged.misfit[-1], misfit_of_noise):
-        left = iterations - len(judged.misfit)
+        left = iterations + len(found.misfit) - len(judged.misfit)
         if left <= 0 or judged.stopped_because == "iterations":
             break
         factor *= 0.5
