@@ -38,6 +38,7 @@ from wavesim.reconstruction.diagnostics.score_test import ScoreTest, score_test
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found_object import Array
 from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS
+from wavesim.reconstruction.information import WhitenedJacobian, information_of
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.reconstruction.problem import ReconstructionProblem
@@ -121,9 +122,11 @@ def judge_result(
     given, maps = [plane for plane, _ in known], [error for _, error in known]
     findings = orientation_findings(given, maps)
 
-    noise_correlation = _noise_correlation(case, found, residuals)
-
-    def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> GoodnessOfFit:
+    def judged(
+        trials: Sequence[Trial] = (),
+        undetected: Sequence[Undetected] = (),
+        noise_correlation: float | None = None,
+    ) -> GoodnessOfFit:
         return verdict(
             residuals,
             trials,
@@ -159,6 +162,9 @@ def judge_result(
         return judged()
     with engine_on(case.light.grid) as engine:
         trials, undetected = list[Trial](), tuple[Undetected, ...]()
+        noise_correlation = (
+            _noise_correlation(case, settings, engine, found, residuals) if first.within else None
+        )
         if first.within and found.whole is not None and not case.modes[1:]:
             progress("score test of the bench")
             test = _score_test(case, settings, engine, found, progress)
@@ -183,17 +189,37 @@ def judge_result(
                 stop=FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
                 misfit_of_result=curve[-1],
             ).trials()
-    return judged(trials, undetected)
+    return judged(trials, undetected, noise_correlation)
 
 
 def _noise_correlation(
-    case: ReconstructionProblem, found: MethodResult, residuals: Sequence[PlaneResidual]
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    found: MethodResult,
+    residuals: Sequence[PlaneResidual],
 ) -> float | None:
-    """Return the least correlation with the true object that noise leaves; None for a part of the object."""
-    error = None if found.whole is None else held_out_error(residuals)
-    if error is None or found.whole is None:
+    """Return the least correlation with the true object that noise leaves.
+
+    It is that of the error that held-out pixels show, or of the best linear estimate, which contains what the
+    frames do not show. None for a part of the object, for several modes of light, and where planes have too
+    little diversity: many objects then explain the frames.
+    """
+    error = held_out_error(residuals)
+    has_little_diversity = len(case.given) > 1 and case.diversity < LEAST_DIVERSITY
+    if found.whole is None or error is None or case.modes[1:] or has_little_diversity:
         return None
-    return correlation_with_error(error, object_strength(found.whole, case.light))
+    shown = correlation_with_error(error, object_strength(found.whole, case.light))
+    jacobian = WhitenedJacobian(
+        engine,
+        case.light,
+        case.given,
+        found.whole,
+        settings.kind,
+        case.patch.inside,
+        settings.fill_factor,
+    )
+    return min(shown, information_of(jacobian).least_correlation)
 
 
 def _score_test(

@@ -21,6 +21,7 @@ from wavesim.metrics.goodness_of_fit import MODEL_ERROR, GoodnessOfFit
 from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction.amplitude_limit import with_own_limit
 from wavesim.reconstruction.assessment import (
+    LARGEST_MISFIT_RATIO,
     EngineOn,
     MethodResult,
     agreement_of_starts,
@@ -660,7 +661,7 @@ def _leave_local_minimum(
         other_judged = _with_less_bias(case, settings, engine, reporter, other)
         # The result of another search is preferred only if its residuals are clearly smaller. The errors of
         # the engine, which the excess contains, are the same in both.
-        if other_judged.misfit[-1] < 0.97 * judged.misfit[-1]:
+        if other_judged.misfit[-1] < judged.misfit[-1] / LARGEST_MISFIT_RATIO:
             found, judged = other, other_judged
             excess = excess_of(case, judged.residual_maps)
     return found, judged

@@ -82,6 +82,11 @@ class Information:
         """Largest correlation that the noise allows on average, for an object without structure."""
         return math.sqrt(max(self.fraction, 0.0))
 
+    @property
+    def least_correlation(self) -> float:
+        """Correlation of the best linear estimate at the upper bound of its error."""
+        return math.sqrt(max(1.0 - self.error_bound, 0.0))
+
     def as_dict(self) -> dict[str, float]:
         """Return all values for JSON."""
         return {

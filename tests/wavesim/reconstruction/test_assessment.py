@@ -1,16 +1,17 @@
-"""A second start where planes have little diversity."""
+"""A second start where planes have little diversity, and the bound of the correlation with the object."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from lensdesign import load_design, scaled
+from benchmarks.verdicts.objects import make_object
+from lensdesign import Lens, load_design, scaled
 from wavesim.fields.field import Field
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.settings import PatchSettings
 from wavesim.sensor.imaging import image
-from wavesim.targets.patch import lit_patch
+from wavesim.targets.patch import lit_patch, object_patch
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
 
@@ -26,3 +27,16 @@ def test_a_grating_that_another_start_finds_elsewhere_is_not_trusted() -> None:
     assert found.truth["object_correlation"] < 0.9
     assert found.verdict.within
     assert (found.verdict.explained, found.verdict.cause) == (False, "several objects"), found.verdict.words
+    assert found.verdict.least_correlation is None  # planes with little diversity do not bound it
+
+
+@pytest.mark.usefixtures("quick_verdicts")
+def test_the_bound_contains_errors_that_no_pixel_shows(paper_lens: Lens) -> None:
+    """Held-out pixels show no error of this object. Their bound alone would be 1."""
+    lens = scaled(paper_lens, 1 / 48)
+    letters = make_object("letters", object_patch(lens, 0.03), lens.object.numerical_aperture, 0)
+    engine = {"engine": "eikonal", "error": 0.3}
+    imaged = image(lens, letters, planes_mm=(0.04, 1.1), pixels=146, field_stop_mm=0.03, seed=0, **engine)
+    found = reconstruct_frames(lens, imaged.frames, kind="amplitude", patch_mm=0.03, truth=letters, **engine)
+    assert found.verdict.noise_correlation is not None
+    assert 0.95 < found.verdict.noise_correlation < found.truth["object_correlation"] < 1.0
