@@ -201,8 +201,8 @@ class GoodnessOfFit:
     judged : bool
         False if only the residuals are known, because the run ended before the tests of the result.
     noise_correlation : float or None
-        Correlation with the true object that noise and errors of the model leave at least (95 %), from pixels
-        that were held out; None if it was not computed.
+        Correlation with the true object that noise and errors of the model leave at least (95 %), if nothing
+        is assumed about the object's structure; None if it was not computed.
     bench : BenchUncertainty or None
         What the uncertainty of a calibrated bench leaves; None without a calibration.
     """
@@ -300,7 +300,8 @@ class GoodnessOfFit:
             words += f". Not determined: {open_orders}"
         if least is None:
             return words
-        words += f". With the noise, the correlation with the true object is {least:.3f} or more (95 %)"
+        words += f". With the noise, the correlation with the true object is {least:.3f} or more (95 %, "
+        words += "without assuming any structure)"
         return f"{words}, and {without:.3f} or more without these orders" if open_orders else words
 
     def as_dict(self) -> dict[str, Any]:
