@@ -205,9 +205,11 @@ def _noise_correlation(
     frames do not show. None for a part of the object, for several modes of light, and where planes have too
     little diversity: many objects then explain the frames.
     """
-    error = held_out_error(residuals)
     has_little_diversity = len(case.given) > 1 and case.diversity < LEAST_DIVERSITY
-    if found.whole is None or error is None or case.modes[1:] or has_little_diversity:
+    if found.whole is None or case.modes[1:] or has_little_diversity:
+        return None
+    error = held_out_error(residuals)
+    if error is None:
         return None
     shown = correlation_with_error(error, object_strength(found.whole, case.light))
     jacobian = WhitenedJacobian(
@@ -341,8 +343,12 @@ def may_be_stagnated(
         return False
     if found.stopped_because == "noise" or len(found.residual_maps) < len(case.recorded):
         return False
-    # After few iterations of a search that has not converged, more iterations are the remedy.
-    return found.stopped_because != "iterations" or len(found.misfit) >= STAGE_ITERATIONS
+    return not needs_more_iterations(found)
+
+
+def needs_more_iterations(found: Reconstructed) -> bool:
+    """Return whether a search has not converged after few iterations, so that more are the remedy."""
+    return found.stopped_because == "iterations" and len(found.misfit) < STAGE_ITERATIONS
 
 
 def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:
@@ -458,7 +464,7 @@ def agreement_of_starts(
             recorded,
             kind=settings.kind,
             tv_weight=settings.tv_weight,
-            iterations=without_tv + settings.most_iterations,
+            iterations=settings.most_iterations,
             until_noise=ends_at_noise(settings.kind, engine),
             scale=found.scale if settings.kind == "amplitude" else settings.scale,
             start=light.with_values(first.astype(light.values.dtype)),

@@ -33,6 +33,7 @@ from wavesim.reconstruction.assessment import (
     judge_result,
     may_be_stagnated,
     more_accurate_case,
+    needs_more_iterations,
     starts_needed,
     stop_search,
     unjudged_result,
@@ -47,7 +48,7 @@ from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
 from wavesim.reconstruction.free_edges import with_free_edges
-from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS, STAGES, with_growing_aperture
+from wavesim.reconstruction.growing_aperture import STAGES, with_growing_aperture
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.position import at_best_position
 from wavesim.reconstruction.prior_bias import with_less_bias
@@ -541,7 +542,7 @@ def _placed(
     reporter: ProgressReporter,
     found: Reconstructed,
 ) -> Reconstructed:
-    """Return an object with its own upper limit at the position that the frames prefer."""
+    """Return an object at the position that the frames prefer; a displaced one has its own upper limit."""
     if settings.kind == "complex" or isinstance(case.engine, Tiled):
         return found
     reporter.step("position of the object")
@@ -564,14 +565,14 @@ def _with_free_edges(
     """Return an amplitude or phase object whose edges the total variation does not hold in wrong places."""
     if settings.kind == "complex" or isinstance(case.engine, Tiled) or settings.tv_weight == 0.0:
         return found
-    if found.stopped_because == "iterations" and len(found.misfit) < STAGE_ITERATIONS:
-        return found  # more iterations are the remedy
+    if needs_more_iterations(found):
+        return found
 
     def search() -> Reconstructed:
         reporter.step("search anew, without total variation at first")
         most = settings.most_iterations
-        anew = partial(_solve, case, settings, engine, reporter, None, iterations=2 * most)
-        return _with_own_limit(case, settings, engine, reporter, anew(iterations_without_tv=most), most)
+        anew = _solve(case, settings, engine, reporter, None, iterations_without_tv=most)
+        return _with_own_limit(case, settings, engine, reporter, anew, most)
 
     return with_free_edges(search, found, noise_misfit(case.given))
 
@@ -599,11 +600,17 @@ def _with_own_limit(
     def solve(
         start: Field | None, scale: float, *, bounded: bool, iterations: int | None = None
     ) -> Reconstructed:
-        run = partial(_solve, case, settings, engine, reporter, start, bounded=bounded, scale=scale)
-        if start is None and iterations_without_tv:
-            most = iterations_without_tv + settings.most_iterations
-            return run(iterations=most, iterations_without_tv=iterations_without_tv)
-        return run(iterations=iterations)
+        return _solve(
+            case,
+            settings,
+            engine,
+            reporter,
+            start,
+            bounded=bounded,
+            iterations=iterations,
+            scale=scale,
+            iterations_without_tv=iterations_without_tv if start is None else 0,
+        )
 
     return with_own_limit(solve, found, case.light, noise_of_step)
 

@@ -235,9 +235,9 @@ def reconstruct(
     tv_factor
         Factor of an automatic weight of the total variation.
     iterations_without_tv
-        Largest number of first iterations without total variation, which end early where the misfit
-        converges. The total variation holds edges where the first iterations have put them; without it,
-        they move to where the measured amplitudes have them.
+        Largest number of additional first iterations without total variation, which end early where the
+        misfit converges. The total variation holds edges where the first iterations have put them; without
+        it, they move to where the measured amplitudes have them.
 
     Returns
     -------
@@ -307,9 +307,9 @@ def reconstruct(
         inner_iterations,
         bounded,
     )
-    stages = [Stage(kind, iterations)]
+    stages = [Stage(kind, iterations_without_tv + iterations)]
     if iterations_without_tv:
-        stages.insert(0, Stage(kind, min(iterations_without_tv, iterations), has_tv=False))
+        stages.insert(0, Stage(kind, iterations_without_tv, has_tv=False))
     if start == "amplitude":
         stages.insert(0, Stage("amplitude", min(AMPLITUDE_START, iterations)))
     # The list gives up the initial state, so that its arrays do not stay in memory to the end.
