@@ -47,7 +47,9 @@ LEAST_AT_LIMIT = 0.2
 """Smallest fraction of the light behind the object that passed samples at a limit that is not too high."""
 
 BRIGHTEST = 0.01
-"""Fraction of the light that passes the brightest parts, after a search without a limit."""
+"""Fraction of the light that passes the brightest parts, after a search without a limit. With 0.003,
+overshoots of a single letter would be its brightest parts, and its scale a quarter too high.
+"""
 
 OVERSHOOTS = 0.1
 """Weight of the total variation that removes fine overshoots of a search without a limit, which would seem to

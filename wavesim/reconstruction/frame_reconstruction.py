@@ -415,7 +415,7 @@ def _find_object(
             if not curve:
                 found = _with_free_edges(case, settings, engine, reporter, found)
             found = _placed(case, settings, engine, reporter, found)
-            judged = _with_less_bias(case, settings, engine, reporter, found)
+            found, judged = _with_less_bias(case, settings, engine, reporter, found)
             if not curve and may_be_stagnated(case, settings, judged):
                 found, judged = _leave_local_minimum(case, settings, engine, reporter, first, found, judged)
             maps = _maps_of_all_planes(case, settings, engine, judged)
@@ -621,15 +621,15 @@ def _with_less_bias(
     engine: Engine,
     reporter: ProgressReporter,
     found: Reconstructed,
-) -> Reconstructed:
-    """Return the object that is judged: less biased by the total variation, if that may matter.
+) -> tuple[Reconstructed, Reconstructed]:
+    """Return the object that is shown, and the one that is judged: less biased by the total variation.
 
     A complex object is judged itself: its unknowns are so many that with less total variation they would fit
     the errors of a wrong bench.
     """
     is_automatic = settings.tv_weight == "auto"
     if settings.kind == "complex" or not is_automatic or isinstance(case.engine, Tiled):
-        return found
+        return found, found
 
     def solve(start: Field, scale: float, factor: float, iterations: int) -> Reconstructed:
         reporter.step(f"for the verdict, with {factor:g} of the total variation")
@@ -665,7 +665,7 @@ def _leave_local_minimum(
             break
         other = _with_own_limit(case, settings, engine, reporter, search())
         other = _placed(case, settings, engine, reporter, other)
-        other_judged = _with_less_bias(case, settings, engine, reporter, other)
+        other, other_judged = _with_less_bias(case, settings, engine, reporter, other)
         # The result of another search is preferred only if its residuals are clearly smaller. The errors of
         # the engine, which the excess contains, are the same in both.
         if other_judged.misfit[-1] < judged.misfit[-1] / LARGEST_MISFIT_RATIO:

@@ -21,6 +21,9 @@ LARGEST_BIAS, LEAST_FACTOR = 2.0, 0.125
 factor of its weight. A larger misfit has other causes.
 """
 
+LARGEST_SHOWN = 1.04
+"""Misfit over that of noise up to which the object found is shown itself."""
+
 
 class WeightedSolver(Protocol):
     """Continues the search from a start, with a factor of the total variation's weight and an upper limit of
@@ -32,8 +35,8 @@ class WeightedSolver(Protocol):
 
 def with_less_bias(
     solve: WeightedSolver, found: Reconstructed, misfit_of_noise: float | None, iterations: int
-) -> Reconstructed:
-    """Return the object that is judged in place of the one found.
+) -> tuple[Reconstructed, Reconstructed]:
+    """Return the object that is shown, and the one that is judged.
 
     Parameters
     ----------
@@ -48,19 +51,26 @@ def with_less_bias(
 
     Returns
     -------
-    Reconstructed
-        The object itself if its misfit is that of noise, if it is far above, or if it has not converged.
+    shown : Reconstructed
+        The object found, or the first copy where the total variation was the cause of a misfit above
+        `LARGEST_SHOWN`: half of its weight brings the misfit below.
+    judged : Reconstructed
+        The object found if its misfit is that of noise, if it is far above, or if it has not converged;
+        otherwise the last copy.
     """
-    factor, judged = 1.0, found
+    factor, shown, judged = 1.0, found, found
     while factor > LEAST_FACTOR and may_be_biased(judged.misfit[-1], misfit_of_noise):
         left = iterations + len(found.misfit) - len(judged.misfit)
         if left <= 0 or judged.stopped_because == "iterations":
             break
         factor *= 0.5
-        before = judged.misfit
-        judged = solve(judged.transmission, judged.scale, factor, left)
-        judged = replace(judged, misfit=before + judged.misfit)
-    return judged
+        before = judged
+        judged = solve(before.transmission, before.scale, factor, left)
+        judged = replace(judged, misfit=before.misfit + judged.misfit)
+        limit = LARGEST_SHOWN * (misfit_of_noise or 0.0)
+        if before is found and judged.misfit[-1] <= limit < found.misfit[-1]:
+            shown = judged
+    return shown, judged
 
 
 def may_be_biased(misfit: float, misfit_of_noise: float | None) -> bool:

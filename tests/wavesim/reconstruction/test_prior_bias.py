@@ -35,7 +35,8 @@ class Solver:
 
 def test_the_weight_is_halved_until_the_misfit_is_that_of_noise() -> None:
     solve, first = Solver(1.2, 1.005), found((3.0, 1.4))
-    judged = with_less_bias(solve, first, NOISE, 80)
+    shown, judged = with_less_bias(solve, first, NOISE, 80)
+    assert shown is first  # half of the weight leaves 1.2 times the noise, so that it had another cause
     assert solve.factors == [0.5, 0.25]
     assert solve.iterations == [80, 78]
     assert judged.misfit == pytest.approx([NOISE * one for one in (3.0, 1.4, 1.5, 1.2, 1.5, 1.005)])
@@ -59,4 +60,15 @@ def test_the_weight_is_halved_three_times_at_most() -> None:
     ids=["at the noise", "another cause", "noise unknown", "none left", "not converged"],
 )
 def test_the_object_itself_is_judged(first: Reconstructed, noise: float | None, iterations: int) -> None:
-    assert with_less_bias(Solver(), first, noise, iterations) is first
+    assert with_less_bias(Solver(), first, noise, iterations) == (first, first)
+
+
+@pytest.mark.parametrize(("first", "copy", "is_replaced"), [(1.08, 1.02, True), (1.03, 1.005, False)])
+def test_a_copy_is_shown_where_the_total_variation_removed_detail(
+    first: float, copy: float, is_replaced: bool
+) -> None:
+    one = found((3.0, first))
+    shown, judged = with_less_bias(Solver(copy, 0.99), one, NOISE, 80)
+    assert (shown is not one) == is_replaced
+    assert shown.misfit[-1] == pytest.approx(NOISE * (copy if is_replaced else first))
+    assert judged.misfit[-1] <= shown.misfit[-1]
