@@ -162,9 +162,9 @@ def judge_result(
         return judged()
     with engine_on(case.light.grid) as engine:
         trials, undetected = list[Trial](), tuple[Undetected, ...]()
-        noise_correlation = (
-            _noise_correlation(case, settings, engine, found, residuals) if first.within else None
-        )
+        noise_correlation = None
+        if first.within and (first.held_out_over_noise or 0.0) <= LIMITED_BY_NOISE:
+            noise_correlation = _noise_correlation(case, settings, engine, found, residuals)
         if first.within and found.whole is not None and not case.modes[1:]:
             progress("score test of the bench")
             test = _score_test(case, settings, engine, found, progress)
@@ -201,9 +201,10 @@ def _noise_correlation(
 ) -> float | None:
     """Return the least correlation with the true object that noise leaves.
 
-    It is that of the error that held-out pixels show, or of the best linear estimate, which contains what the
-    frames do not show. None for a part of the object, for several modes of light, and where planes have too
-    little diversity: many objects then explain the frames.
+    It is that of the error that held-out pixels show, or of an estimate that assumes nothing of the object
+    and removes detail as the total variation does, which contains what the frames do not show. None for a
+    part of the object, for several modes of light, and where planes have too little diversity: many objects
+    then explain the frames.
     """
     has_little_diversity = len(case.given) > 1 and case.diversity < LEAST_DIVERSITY
     if found.whole is None or case.modes[1:] or has_little_diversity:
@@ -221,7 +222,10 @@ def _noise_correlation(
         case.patch.inside,
         settings.fill_factor,
     )
-    return min(shown, information_of(jacobian).least_correlation)
+    shrinkage = tv_factor(settings.kind, engine, case.given)
+    if settings.tv_weight != "auto":
+        shrinkage = settings.tv_weight * found.of_method["scale"] / jacobian.linear.model.noise_of_step()
+    return min(shown, information_of(jacobian, shrinkage=shrinkage).least_correlation)
 
 
 def _score_test(
@@ -401,6 +405,11 @@ def engine_errors(
     more = residual_maps_of(finer.engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
     return tuple(one - other for one, other in zip(more, maps, strict=True))
 
+
+LIMITED_BY_NOISE = 1.1
+"""Residuals of held-out pixels over the noise up to which the noise alone limits the object. Textures, of
+which the total variation removes more than noise demands, leave 1.17.
+"""
 
 LARGEST_MISFIT_RATIO = 1.03
 """Misfit of another start over that of the object found, up to which it explains the frames as well."""

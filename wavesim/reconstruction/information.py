@@ -26,6 +26,8 @@ References
 .. [1] C. D. Rodgers, "Inverse Methods for Atmospheric Sounding", World Scientific (2000), chapter 2.
 .. [2] G. H. Golub and G. Meurant, "Matrices, Moments and Quadrature with Applications", Princeton University
    Press (2010), chapter 7.
+.. [3] D. L. Donoho and I. M. Johnstone, "Ideal spatial adaptation by wavelet shrinkage", Biometrika 81, 425
+   (1994): the risk of a threshold is at most 1 + threshold^2 times the variance of the noise.
 """
 
 from __future__ import annotations
@@ -181,13 +183,18 @@ class WhitenedJacobian:
         return self.deviation * self.limited_adjoint(on_object if self.kind == "complex" else on_object.real)
 
 
-def information_of(jacobian: WhitenedJacobian, *, steps: int = LANCZOS_STEPS, seed: int = 0) -> Information:
+def information_of(
+    jacobian: WhitenedJacobian, *, shrinkage: float = 0.0, steps: int = LANCZOS_STEPS, seed: int = 0
+) -> Information:
     """Return the information of frames about an object.
 
     Parameters
     ----------
     jacobian
         Derivative of the measured amplitudes.
+    shrinkage
+        Threshold, in standard deviations of the noise, below which an estimate such as the total variation
+        removes detail. The variance of the noise counts 1 + shrinkage^2 times [3]_.
     steps
         Steps of the Lanczos method.
     seed
@@ -206,7 +213,7 @@ def information_of(jacobian: WhitenedJacobian, *, steps: int = LANCZOS_STEPS, se
     unknowns = real_unknowns(
         jacobian.kind, diameter_mm, scene.lens.object.numerical_aperture, (scene.wavelength_um,)
     )
-    lower, upper = _quadratures(diagonal, off_diagonal)
+    lower, upper = _quadratures(*(part / (1.0 + shrinkage**2) for part in (diagonal, off_diagonal)))
     return Information(unknowns, lower, upper)
 
 

@@ -120,6 +120,15 @@ def test_more_light_determines_more() -> None:
     assert bright.correlation > dim.correlation
 
 
+def test_shrinkage_counts_as_larger_noise() -> None:
+    """A threshold of one deviation acts like noise of twice the variance."""
+    plain, other = jacobian("amplitude"), jacobian("amplitude")
+    other._whitening = other._whitening / np.float32(np.sqrt(2.0))
+    found = information_of(plain, shrinkage=1.0)
+    assert found.error == pytest.approx(information_of(other).error, rel=1e-4)
+    assert found.error > information_of(plain).error
+
+
 def test_quadratures_bound_the_form_of_a_matrix() -> None:
     values = np.geomspace(1e-2, 1e4, 200)
     weights = np.full(200, 1.0 / 200)
