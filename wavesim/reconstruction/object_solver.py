@@ -450,8 +450,8 @@ class ProximalDescent:
 
     def stop(self, state: SolverState) -> Stop | None:
         """Return the reason to stop, or None if iterations continue."""
-        noise = self.misfit_of_noise if self.until_noise else None
-        return stop_reason(state.misfit[state.began :], noise)
+        misfits = state.misfit[state.began :]
+        return stop_reason(misfits, self.misfit_of_noise, until_noise=self.until_noise)
 
 
 def _project_on_unit_circle(values: Array) -> None:

@@ -34,12 +34,13 @@ iterations together are expected to change the misfit by less than that.
 """
 
 SPAN_AFTER_RISE = 10
-"""Iterations over which a misfit that has risen must be flat. The total variation raises it at first. On
-dense strokes it then stays within 0.1 % for seven iterations, while the object still changes by 2 % in each.
+"""Iterations over which a misfit that has risen, and is far from the noise, must be flat. The total variation
+raises it at first. On dense strokes it then stays within 0.1 % for seven iterations, while the object still
+changes by 2 % in each.
 """
 
 
-def stop_reason(misfits: Sequence[float], noise: float | None) -> Stop | None:
+def stop_reason(misfits: Sequence[float], noise: float | None, *, until_noise: bool) -> Stop | None:
     """Return the reason to stop, or None if iterations continue.
 
     Parameters
@@ -47,14 +48,19 @@ def stop_reason(misfits: Sequence[float], noise: float | None) -> Stop | None:
     misfits
         Misfit of every iteration since the search began, or since its last change.
     noise
-        Misfit that noise alone would leave; None if iterations need not end there.
+        Misfit that noise alone would leave; None if it is not known.
+    until_noise
+        Whether iterations end at the noise.
     """
     if not misfits:
         return None
     over = misfits[-1] / noise if noise else math.inf
-    if over <= AT_NOISE and (_is_converged(misfits, SPAN_AT_NOISE) or expected_change(misfits) < TOLERANCE):
+    hardly_falls = _is_converged(misfits, SPAN_AT_NOISE) or expected_change(misfits) < TOLERANCE
+    if until_noise and over <= AT_NOISE and hardly_falls:
         return "noise"
-    span = SPAN_NEAR_NOISE if over <= FAR else SPAN
+    span = SPAN_NEAR_NOISE if until_noise and over <= FAR else SPAN
+    if over > FAR and _has_risen(misfits):
+        span = SPAN_AFTER_RISE
     return "converged" if len(misfits) > SPAN and _is_converged(misfits, span) else None
 
 
@@ -64,12 +70,13 @@ def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
     Where it has risen, as it does once the total variation begins, its range counts. Around a maximum, first
     and last misfit are equal although it still changes.
     """
-    has_risen = misfits[-1] > misfits[0]
-    if has_risen:
-        iterations = max(iterations, SPAN_AFTER_RISE)
     last = misfits[-1 - iterations :]
-    change = max(last) - min(last) if has_risen else abs(last[0] - last[-1])
+    change = max(last) - min(last) if _has_risen(misfits) else abs(last[0] - last[-1])
     return len(last) > iterations and change < TOLERANCE * last[-1]
+
+
+def _has_risen(misfits: Sequence[float]) -> bool:
+    return misfits[-1] > misfits[0]
 
 
 def expected_change(misfits: Sequence[float]) -> float:
