@@ -336,15 +336,11 @@ def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit
     return case.predicted_error > excess
 
 
-def may_be_stagnated(
-    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
-) -> bool:
+def may_be_stagnated(case: ReconstructionProblem, found: Reconstructed) -> bool:
     """Return whether the search for an amplitude or phase object may have ended in a local minimum.
 
     Whether it left more than the noise is for :func:`excess_of` to say.
     """
-    if settings.kind == "complex" or isinstance(case.engine, Tiled):
-        return False
     if found.stopped_because == "noise" or len(found.residual_maps) < len(case.recorded):
         return False
     return not needs_more_iterations(found)

@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,24 +15,18 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.eikonal.on_cluster import tiles_in
 from wavesim.fields.field import Field, Grid
-from wavesim.forward.forward_model import ForwardModel
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR, GoodnessOfFit
 from wavesim.metrics.result_quality import truth_metrics
-from wavesim.reconstruction.amplitude_limit import with_own_limit
 from wavesim.reconstruction.assessment import (
-    LARGEST_MISFIT_RATIO,
     EngineOn,
     MethodResult,
     agreement_of_starts,
     engine_errors,
     engine_replaced,
     engine_summary,
-    excess_of,
     is_engine_limited,
     judge_result,
-    may_be_stagnated,
     more_accurate_case,
-    needs_more_iterations,
     starts_needed,
     stop_search,
     unjudged_result,
@@ -47,11 +40,8 @@ from wavesim.reconstruction.coarse_start import (
 from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
-from wavesim.reconstruction.free_edges import with_free_edges
-from wavesim.reconstruction.growing_aperture import STAGES, with_growing_aperture
+from wavesim.reconstruction.object_search import ObjectSearch
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
-from wavesim.reconstruction.position import at_best_position
-from wavesim.reconstruction.prior_bias import with_less_bias
 from wavesim.reconstruction.problem import (
     ReconstructionProblem,
     keeps_engine,
@@ -59,8 +49,7 @@ from wavesim.reconstruction.problem import (
     validate_frames,
 )
 from wavesim.reconstruction.refocusing import refocus_field
-from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
-from wavesim.reconstruction.search_rules import ends_at_noise, tv_factor
+from wavesim.reconstruction.resumable import retrieve_resumably, saved_state
 from wavesim.reconstruction.source_search import WIDTHS, find_source, sought_widths
 from wavesim.runtime.checkpoint import STOP_TRIALS, Checkpoint
 from wavesim.runtime.memory import Memory
@@ -69,7 +58,6 @@ from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.measurement import Measurement, noise_misfit
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import imaging_engine
 from wavesim.targets.patch import transmission_of
@@ -408,16 +396,9 @@ def _find_object(
     replaced: dict[str, Any] = {}
     while True:
         with _prepared_engine(case.engine, hand_over, reporter) as engine:
-            found = _solve(
-                case, settings, engine, reporter, first, checkpoint, initial.pop() if initial else None
-            )
-            found = _with_own_limit(case, settings, engine, reporter, found)
-            if not curve:
-                found = _with_free_edges(case, settings, engine, reporter, found)
-            found = _placed(case, settings, engine, reporter, found)
-            found, judged = _with_less_bias(case, settings, engine, reporter, found)
-            if not curve and may_be_stagnated(case, settings, judged):
-                found, judged = _leave_local_minimum(case, settings, engine, reporter, first, found, judged)
+            search = ObjectSearch(case, settings, engine, reporter.step, reporter.iteration)
+            found = search.solve(first, checkpoint=checkpoint, resume=initial.pop() if initial else None)
+            found, judged = search.improved(found, first, is_first=not curve)
             maps = _maps_of_all_planes(case, settings, engine, judged)
             curve += found.misfit
             is_limited = is_engine_limited(case, maps, judged.misfit[-1])
@@ -495,206 +476,6 @@ def _source_summary(case: ReconstructionProblem, settings: ReconstructionSetting
         if attribute in case.source_deviations:
             summary[f"{name}_deviation"] = case.source_deviations[attribute]
     return summary
-
-
-def _solve(
-    case: ReconstructionProblem,
-    settings: ReconstructionSettings,
-    engine: Engine,
-    reporter: ProgressReporter,
-    start: Field | Literal["amplitude"] | None,
-    checkpoint: Checkpoint | None = None,
-    resume: SolverState | None = None,
-    bounded: bool = True,
-    given: Sequence[Measurement] = (),
-    iterations: int | None = None,
-    scale: float | None = None,
-    factor: float = 1.0,
-    iterations_without_tv: int = 0,
-) -> Reconstructed:
-    """Return the object that iterations with one engine find, by default from all pixels of the case."""
-    return reconstruct(
-        engine,
-        case.light,
-        given or case.given,
-        kind=settings.kind,
-        tv_weight=settings.tv_weight,
-        iterations=iterations or settings.most_iterations,
-        until_noise=ends_at_noise(settings.kind, engine),
-        scale=settings.scale if scale is None else scale,
-        start=start,
-        fill_factor=settings.fill_factor,
-        progress=reporter.iteration,
-        resume=resume,
-        keep=state_saver(checkpoint),
-        scratch=case.scratch,
-        modes=case.modes,
-        bounded=bounded,
-        tv_factor=factor * tv_factor(settings.kind, engine, given or case.given),
-        iterations_without_tv=iterations_without_tv,
-    )
-
-
-def _placed(
-    case: ReconstructionProblem,
-    settings: ReconstructionSettings,
-    engine: Engine,
-    reporter: ProgressReporter,
-    found: Reconstructed,
-) -> Reconstructed:
-    """Return an object at the position that the frames prefer; a displaced one has its own upper limit."""
-    if settings.kind == "complex" or isinstance(case.engine, Tiled):
-        return found
-    reporter.step("position of the object")
-
-    def solve(start: Field, scale: float, *, iterations: int | None = None) -> Reconstructed:
-        own = None if settings.kind == "phase" and settings.scale is None else scale
-        return _solve(case, settings, engine, reporter, start, iterations=iterations, scale=own)
-
-    placed = at_best_position(solve, found, case.light, noise_misfit(case.given))
-    return found if placed is found else _with_own_limit(case, settings, engine, reporter, placed)
-
-
-def _with_free_edges(
-    case: ReconstructionProblem,
-    settings: ReconstructionSettings,
-    engine: Engine,
-    reporter: ProgressReporter,
-    found: Reconstructed,
-) -> Reconstructed:
-    """Return an amplitude or phase object whose edges the total variation does not hold in wrong places."""
-    if settings.kind == "complex" or isinstance(case.engine, Tiled) or settings.tv_weight == 0.0:
-        return found
-    if needs_more_iterations(found):
-        return found
-
-    def search() -> Reconstructed:
-        reporter.step("search anew, without total variation at first")
-        most = settings.most_iterations
-        anew = _solve(case, settings, engine, reporter, None, iterations_without_tv=most)
-        return _with_own_limit(case, settings, engine, reporter, anew, most)
-
-    return with_free_edges(search, found, noise_misfit(case.given))
-
-
-def _with_own_limit(
-    case: ReconstructionProblem,
-    settings: ReconstructionSettings,
-    engine: Engine,
-    reporter: ProgressReporter,
-    found: Reconstructed,
-    iterations_without_tv: int = 0,
-) -> Reconstructed:
-    """Return an amplitude object of unknown scale whose brightest parts are 1.
-
-    On a whole field, the scale remains that of an object that is bright everywhere. Searches that start anew
-    have the stated number of first iterations without total variation.
-    """
-    if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
-        return found
-    reporter.step("brightest parts of the object")
-    model = ForwardModel(engine, case.light, case.given, 1.0, settings.fill_factor, modes=case.modes)
-    noise_of_step = model.noise_of_step()
-    del model
-
-    def solve(
-        start: Field | None, scale: float, *, bounded: bool, iterations: int | None = None
-    ) -> Reconstructed:
-        return _solve(
-            case,
-            settings,
-            engine,
-            reporter,
-            start,
-            bounded=bounded,
-            iterations=iterations,
-            scale=scale,
-            iterations_without_tv=iterations_without_tv if start is None else 0,
-        )
-
-    return with_own_limit(solve, found, case.light, noise_of_step)
-
-
-def _with_less_bias(
-    case: ReconstructionProblem,
-    settings: ReconstructionSettings,
-    engine: Engine,
-    reporter: ProgressReporter,
-    found: Reconstructed,
-) -> tuple[Reconstructed, Reconstructed]:
-    """Return the object that is shown, and the one that is judged: less biased by the total variation.
-
-    A complex object is judged itself: its unknowns are so many that with less total variation they would fit
-    the errors of a wrong bench.
-    """
-    is_automatic = settings.tv_weight == "auto"
-    if settings.kind == "complex" or not is_automatic or isinstance(case.engine, Tiled):
-        return found, found
-
-    def solve(start: Field, scale: float, factor: float, iterations: int) -> Reconstructed:
-        reporter.step(f"for the verdict, with {factor:g} of the total variation")
-        own = None if settings.kind == "phase" and settings.scale is None else scale
-        return _solve(
-            case, settings, engine, reporter, start, iterations=iterations, scale=own, factor=factor
-        )
-
-    return with_less_bias(solve, found, noise_misfit(case.given), settings.most_iterations)
-
-
-def _leave_local_minimum(
-    case: ReconstructionProblem,
-    settings: ReconstructionSettings,
-    engine: Engine,
-    reporter: ProgressReporter,
-    start: Field | Literal["amplitude"] | None,
-    found: Reconstructed,
-    judged: Reconstructed,
-) -> tuple[Reconstructed, Reconstructed]:
-    """Return the best of the object found and those of other searches: without an upper limit of the
-    amplitude, and with a growing aperture. The second object is the one that is judged.
-
-    Nothing is searched once an object leaves no more than the noise. The limit of 1 may be too low where the
-    scale is fitted to an object that is bright everywhere.
-    """
-    excess = excess_of(case, judged.residual_maps)
-    searches = [partial(_solve_with_growing_aperture, case, settings, engine, reporter)]
-    if settings.scale is None and settings.kind == "amplitude":
-        searches = [partial(_solve, case, settings, engine, reporter, start, bounded=False), *searches]
-    for search in searches:
-        if excess <= 1.0:
-            break
-        other = _with_own_limit(case, settings, engine, reporter, search())
-        other = _placed(case, settings, engine, reporter, other)
-        other, other_judged = _with_less_bias(case, settings, engine, reporter, other)
-        # The result of another search is preferred only if its residuals are clearly smaller. The errors of
-        # the engine, which the excess contains, are the same in both.
-        if other_judged.misfit[-1] < judged.misfit[-1] / LARGEST_MISFIT_RATIO:
-            found, judged = other, other_judged
-            excess = excess_of(case, judged.residual_maps)
-    return found, judged
-
-
-def _solve_with_growing_aperture(
-    case: ReconstructionProblem,
-    settings: ReconstructionSettings,
-    engine: Engine,
-    reporter: ProgressReporter,
-) -> Reconstructed:
-    """Return the amplitude or phase object that a growing aperture finds."""
-
-    def solve(given: Sequence[Measurement], start: Field | None, iterations: int) -> Reconstructed:
-        return _solve(case, settings, engine, reporter, start, given=given, iterations=iterations)
-
-    return with_growing_aperture(
-        solve,
-        case.given,
-        case.light,
-        iterations=settings.most_iterations,
-        knows_scale=settings.scale is not None,
-        on_stage=lambda index: reporter.step(
-            f"local minimum? growing aperture, stage {index + 1} of {STAGES}"
-        ),
-    )
 
 
 def _retrieve(
