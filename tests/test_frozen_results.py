@@ -199,8 +199,8 @@ STUDY = {
 
 CHAIN = {
     "counts": 1316383.0,
-    "correlation": 0.966789531747,
-    "misfit": 0.145628909092,
+    "correlation": 0.963522611818,
+    "misfit": 0.145826881779,
     "found decenter": 0.00100347811496,
     "standard deviation": 7.20238265335e-06,
 }

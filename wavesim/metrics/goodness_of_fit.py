@@ -242,7 +242,7 @@ class GoodnessOfFit:
         return self._least(self.bench.correlation_without_low_orders)
 
     def _least(self, of_bench: float | None) -> float | None:
-        if self.noise_correlation is None:
+        if self.noise_correlation is None or not self.explained:
             return None
         if of_bench is None:
             of_bench = min((one.correlation for one in self.undetected), default=1.0)

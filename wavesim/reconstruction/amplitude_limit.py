@@ -47,7 +47,7 @@ LEAST_AT_LIMIT = 0.2
 """Smallest fraction of the light behind the object that passed samples at a limit that is not too high."""
 
 BRIGHTEST = 0.01
-"""Fraction of the light that passes the brightest parts, after a search without a limit. With 0.003,
+"""Fraction of the illumination that falls on the brightest parts, after a search without a limit. With 0.003,
 overshoots of a single letter would be its brightest parts, and its scale a quarter too high.
 """
 

@@ -39,7 +39,7 @@ from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found_object import Array
 from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS
 from wavesim.reconstruction.information import WhitenedJacobian, information_of
-from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
+from wavesim.reconstruction.object_solver import TV_PER_NOISE, Reconstructed, reconstruct
 from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.reconstruction.problem import ReconstructionProblem
 from wavesim.reconstruction.search_rules import ends_at_noise, tv_factor
@@ -71,7 +71,7 @@ class MethodResult(NamedTuple):
     transmission, behind : Field or None
         The transmission, or the field behind the part of the object that is to be refocused.
     residual_maps : tuple of ndarray
-        For each plane, modelled less measured amplitude.
+        For each plane, modelled less measured amplitude of the object that is judged.
     curve : tuple of float
         Misfit or correlation of every iteration.
     of_method : dict
@@ -79,7 +79,7 @@ class MethodResult(NamedTuple):
     agreement : float or None
         Smallest correlation between results of several starts.
     whole : Field or None
-        The transmission on all samples.
+        The transmission on all samples of the object that is judged.
     engine_errors : tuple of ndarray
         Change of the amplitudes with a more accurate engine.
     model_error : float
@@ -201,10 +201,10 @@ def _noise_correlation(
 ) -> float | None:
     """Return the least correlation with the true object that noise leaves.
 
-    It is that of the error that held-out pixels show, or of an estimate that assumes nothing of the object
-    and removes detail as the total variation does, which contains what the frames do not show. None for a
-    part of the object, for several modes of light, and where planes have too little diversity: many objects
-    then explain the frames.
+    It is the smaller of two: that of the error on held-out pixels, and that of an estimate which knows only
+    band and contrast of the object and removes detail as the total variation does. The second contains errors
+    that no pixel shows. None without held-out pixels, for several modes of light, and where planes have too
+    little diversity: many objects then explain the frames.
     """
     has_little_diversity = len(case.given) > 1 and case.diversity < LEAST_DIVERSITY
     if found.whole is None or case.modes[1:] or has_little_diversity:
@@ -222,7 +222,7 @@ def _noise_correlation(
         case.patch.inside,
         settings.fill_factor,
     )
-    shrinkage = tv_factor(settings.kind, engine, case.given)
+    shrinkage = TV_PER_NOISE * tv_factor(settings.kind, engine, case.given)
     if settings.tv_weight != "auto":
         shrinkage = settings.tv_weight * found.of_method["scale"] / jacobian.linear.model.noise_of_step()
     return min(shown, information_of(jacobian, shrinkage=shrinkage).least_correlation)
@@ -336,19 +336,20 @@ def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit
     return case.predicted_error > excess
 
 
-def may_be_stagnated(case: ReconstructionProblem, found: Reconstructed) -> bool:
+def may_be_stagnated(
+    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
+) -> bool:
     """Return whether the search for an amplitude or phase object may have ended in a local minimum.
 
-    Whether it left more than the noise is for :func:`excess_of` to say.
+    Whether it left more than the noise is for :func:`excess_of` to say, which needs all planes.
     """
-    if found.stopped_because == "noise" or len(found.residual_maps) < len(case.recorded):
-        return False
-    return not needs_more_iterations(found)
+    has_all_planes = len(found.residual_maps) == len(case.recorded)
+    return has_all_planes and not needs_more_iterations(settings, found)
 
 
-def needs_more_iterations(found: Reconstructed) -> bool:
-    """Return whether a search has not converged after few iterations, so that more are the remedy."""
-    return found.stopped_because == "iterations" and len(found.misfit) < STAGE_ITERATIONS
+def needs_more_iterations(settings: ReconstructionSettings, found: Reconstructed) -> bool:
+    """Return whether a search of few iterations has not converged, so that more are the remedy."""
+    return found.stopped_because == "iterations" and settings.most_iterations < STAGE_ITERATIONS
 
 
 def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:
@@ -453,7 +454,8 @@ def agreement_of_starts(
         return None
     ends = [light.with_values(light.values * found.transmission.values)]
     # The total variation would hold the edges of a random start.
-    without_tv = 0 if ends_at_noise(settings.kind, engine) else settings.most_iterations
+    has_free_edges = settings.tv_weight != 0.0 and not ends_at_noise(settings.kind, engine)
+    without_tv = settings.most_iterations if has_free_edges else 0
     # Root mean square of the random phases of complex objects at the start; amplitudes are from 0 to 1.
     phase_rad = 1.0
     for seed in range(1, settings.starts):
@@ -475,7 +477,7 @@ def agreement_of_starts(
             start=light.with_values(first.astype(light.values.dtype)),
             fill_factor=settings.fill_factor,
             modes=modes,
-            tv_factor=tv_factor(settings.kind, engine, recorded),
+            tv_factor=found.tv_factor,
             iterations_without_tv=without_tv,
         )
         if other.misfit[-1] <= LARGEST_MISFIT_RATIO * found.misfit[-1]:

@@ -172,7 +172,7 @@ def reconstruct_frames(
         if ended:
             raise KeyboardInterrupt(f"interrupted before the verdict{hint and '; '}{hint}") from None
         hint = hint or "nothing was written"
-        count = f"{reporter.iterations} of {settings.most_iterations}"
+        count = f"{reporter.iterations} of {max(reporter.iterations, settings.most_iterations)}"
         raise KeyboardInterrupt(f"interrupted after {count} iterations; {hint}") from None
     except ClusterError as error:
         raise ClusterError(f"{error}; {_resume_hint(case) or 'no iteration was saved'}") from error
@@ -220,7 +220,8 @@ class ProgressReporter:
     def iteration(self, index: int, value: float) -> None:
         """Report an iteration and its misfit or correlation."""
         self.iterations = index + 1
-        self._report(f"{self._method}: {self._quantity} {value:.5f}", self.iterations, self._most)
+        most = max(self._most, self.iterations)  # a search without total variation at first has more
+        self._report(f"{self._method}: {self._quantity} {value:.5f}", self.iterations, most)
 
     def coarse_iteration(self, index: int, value: float) -> None:
         """Report an iteration on half of the samples."""

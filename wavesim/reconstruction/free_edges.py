@@ -14,7 +14,9 @@ from dataclasses import replace
 from wavesim.reconstruction.object_solver import Reconstructed
 
 RIGHT_MISFIT = 1.03
-"""Misfit over that of noise up to which edges are right. The total variation alone leaves 1.01 to 1.03."""
+"""Misfit over that of noise up to which edges are right. With one exposure, the total variation alone
+leaves 1.01 to 1.03; with long exposures it can leave more.
+"""
 
 
 def with_free_edges(

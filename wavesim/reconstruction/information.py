@@ -81,12 +81,12 @@ class Information:
 
     @property
     def correlation(self) -> float:
-        """Largest correlation that the noise allows on average, for an object without structure."""
+        """Correlation at the middle of the bounds of the error, for an object without structure."""
         return math.sqrt(max(self.fraction, 0.0))
 
     @property
     def least_correlation(self) -> float:
-        """Correlation of the best linear estimate at the upper bound of its error."""
+        """Correlation at the upper bound of the error."""
         return math.sqrt(max(1.0 - self.error_bound, 0.0))
 
     def as_dict(self) -> dict[str, float]:

@@ -80,7 +80,7 @@ class ObjectSearch:
         start, resume, bounded, iterations_without_tv
             See :func:`wavesim.reconstruct`.
         checkpoint
-            Place of the states; default: none are saved.
+            Where states are saved; default: nowhere.
         given, iterations, scale
             Measured planes, largest number of iterations, and scale, if not those of the problem.
         factor
@@ -130,7 +130,7 @@ class ObjectSearch:
         if is_first:
             found = self._with_free_edges(found)
         found, judged = self._with_less_bias(self._placed(found))
-        if is_first and may_be_stagnated(self.case, judged):
+        if is_first and may_be_stagnated(self.case, self.settings, judged):
             found, judged = self._out_of_local_minimum(found, judged, start)
         return found, judged
 
@@ -164,7 +164,7 @@ class ObjectSearch:
 
     def _with_free_edges(self, found: Reconstructed) -> Reconstructed:
         """Return an object whose edges the total variation does not hold in wrong places."""
-        if self.settings.tv_weight == 0.0 or needs_more_iterations(found):
+        if self.settings.tv_weight == 0.0 or needs_more_iterations(self.settings, found):
             return found
 
         def search() -> Reconstructed:

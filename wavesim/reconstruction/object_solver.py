@@ -89,6 +89,8 @@ class Reconstructed:
         - "noise": the misfit has reached the value that noise alone leaves (discrepancy principle).
         - "converged": the misfit has converged.
         - "iterations": all iterations were used.
+    tv_factor : float
+        Factor of an automatic weight of the total variation.
     """
 
     transmission: Field
@@ -96,6 +98,7 @@ class Reconstructed:
     residual_maps: tuple[NDArray[np.floating[Any]], ...]
     scale: float
     stopped_because: Stop
+    tv_factor: float = 1.0
 
     def __repr__(self) -> str:
         return f"Reconstructed({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -237,7 +240,8 @@ def reconstruct(
     iterations_without_tv
         Largest number of additional first iterations without total variation, which end early where the
         misfit converges. The total variation holds edges where the first iterations have put them; without
-        it, they move to where the measured amplitudes have them.
+        it, they move to where the measured amplitudes have them. Those that are not used are added to
+        `iterations`.
 
     Returns
     -------
@@ -330,7 +334,8 @@ def reconstruct(
         modelled -= plane.amplitude
         modelled *= modelled.dtype.type(unit)
     found = illumination.with_values(now.astype(illumination.values.dtype))
-    return Reconstructed(found, misfits, tuple(maps), found_scale * unit / light_unit, stop_reason)
+    found_scale *= unit / light_unit
+    return Reconstructed(found, misfits, tuple(maps), found_scale, stop_reason, tv_factor)
 
 
 def _initial_state(

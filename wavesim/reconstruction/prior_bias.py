@@ -4,7 +4,7 @@ The total variation reduces the contrast of fine detail, which long exposures me
 its automatic weight assumes. Its iterations then converge above the misfit of noise although the object is
 right, and what they leave resembles a displaced bench. A judged copy of the object therefore continues with
 half of the weight, up to three times, until the misfit is that of noise (discrepancy principle). The copy
-fits more noise than the object. It serves the verdict alone.
+fits more noise than the object, and normally serves the verdict alone.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ factor of its weight. A larger misfit has other causes.
 """
 
 LARGEST_SHOWN = 1.04
-"""Misfit over that of noise up to which the object found is shown itself."""
+"""Misfit over that of noise above which the first copy is shown, if its own misfit is not above it."""
 
 
 class WeightedSolver(Protocol):

@@ -20,7 +20,9 @@ from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import Measurement, full_weight_sigma
 
 SINGLE_EXPOSURE_FACTOR = 1.4
-"""Factor of the automatic total variation where no pixels are known better than the brightest ones."""
+"""Factor of the automatic total variation where no pixel has less than half of the standard deviation of the
+brightest ones, as with single exposures.
+"""
 
 
 def ends_at_noise(kind: Kind, engine: Engine) -> bool:

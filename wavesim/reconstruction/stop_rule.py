@@ -28,9 +28,9 @@ from it.
 """
 
 SPAN, SPAN_NEAR_NOISE, SPAN_AT_NOISE, TOLERANCE = 5, 2, 1, 1e-3
-"""Convergence: over `SPAN` iterations (`SPAN_NEAR_NOISE` near the noise, `SPAN_AT_NOISE` at the noise) the
-misfit changes by less than the fraction `TOLERANCE`. At the noise, iterations also end where all further
-iterations together are expected to change the misfit by less than that.
+"""Convergence: over `SPAN` iterations the misfit changes by less than the fraction `TOLERANCE`. Where
+iterations end at the noise, it is `SPAN_NEAR_NOISE` iterations near it, and `SPAN_AT_NOISE` at it; they also
+end there if all further iterations together are expected to change the misfit by less than that.
 """
 
 SPAN_AFTER_RISE = 10

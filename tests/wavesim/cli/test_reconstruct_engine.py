@@ -12,7 +12,7 @@ from programs import Command
 
 from lensdesign import load_design, save_design, scaled
 from wavesim import image
-from wavesim.reconstruction import assessment, frame_reconstruction
+from wavesim.reconstruction import assessment, object_search
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.scene.engine import Engine
 from wavesim.sensor.frames import write_frame
@@ -54,7 +54,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 @pytest.fixture(autouse=True)
 def no_other_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     """Local minima and causes of a misfit are not sought: that takes long, and has tests of its own."""
-    monkeypatch.setattr(frame_reconstruction, "may_be_stagnated", lambda *_: False)
+    monkeypatch.setattr(object_search, "may_be_stagnated", lambda *_: False)
     monkeypatch.setattr(CauseTrials, "trials", lambda _: [])
 
 
