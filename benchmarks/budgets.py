@@ -41,6 +41,7 @@ LOSS_STUDIES = (
     "feasible_singlet:precision:nominal",
     "wide_field:precision:nominal",
     "paper_singlet:precision:nominal",
+    "thinnest_singlet:precision:nominal",
 )
 LOSS_TRIALS, LOSS_VERIFY, LOSS_DRAWS, LOSS_EVALUATIONS = 140, 250, 2048, 600
 
