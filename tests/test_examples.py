@@ -36,6 +36,7 @@ def test_example_runs(
     assert example.examples, f"{package}.{name} has no example"
     assert not any(doctest.SKIP in step.options for step in example.examples)
     monkeypatch.chdir(session_folder)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # a cache of an earlier session would be used
     judge_quickly(monkeypatch)
     draw_few_dots(monkeypatch)
     failures: list[str] = []
