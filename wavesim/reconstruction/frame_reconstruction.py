@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
@@ -40,7 +40,7 @@ from wavesim.reconstruction.coarse_start import (
 from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
-from wavesim.reconstruction.object_search import ObjectSearch
+from wavesim.reconstruction.object_search import ObjectSearch, Start
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.problem import (
     ReconstructionProblem,
@@ -393,7 +393,7 @@ def _find_object(
     """
     checkpoint: Checkpoint | None = case.checkpoint
     curve: tuple[float, ...] = ()
-    first: Field | Literal["amplitude"] | None = "amplitude" if settings.first == "amplitude" else start
+    first: Start = "amplitude" if settings.first == "amplitude" else start
     replaced: dict[str, Any] = {}
     while True:
         with _prepared_engine(case.engine, hand_over, reporter) as engine:

@@ -55,8 +55,8 @@ def stop_reason(misfits: Sequence[float], noise: float | None, *, until_noise: b
     if not misfits:
         return None
     over = misfits[-1] / noise if noise else math.inf
-    hardly_falls = _is_converged(misfits, SPAN_AT_NOISE) or expected_change(misfits) < TOLERANCE
-    if until_noise and over <= AT_NOISE and hardly_falls:
+    is_at_noise = until_noise and over <= AT_NOISE
+    if is_at_noise and (_is_converged(misfits, SPAN_AT_NOISE) or expected_change(misfits) < TOLERANCE):
         return "noise"
     span = SPAN_NEAR_NOISE if until_noise and over <= FAR else SPAN
     if over > FAR and _has_risen(misfits):
