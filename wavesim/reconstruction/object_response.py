@@ -23,9 +23,13 @@ FOLLOWING_ITERATIONS = 12
 
 
 def free_samples(
-    linear: LinearModel, values: NDArray[Any], gradient: NDArray[Any] | None = None
+    linear: LinearModel,
+    values: NDArray[Any],
+    gradient: NDArray[Any] | None = None,
+    *,
+    upper_bound: float = 1.0,
 ) -> NDArray[np.bool_]:
-    """Return lit samples of the object that are not at a bound of an amplitude object, 0 or 1.
+    """Return lit samples of the object that are not at a bound of an amplitude object.
 
     Parameters
     ----------
@@ -35,12 +39,14 @@ def free_samples(
         Transmission of the object, real for an amplitude object.
     gradient
         Change of the object that reduces the residuals; default: from those of the linear model.
+    upper_bound
+        Largest transmission that is possible; the smallest is 0.
     """
     lit = linear.model.lit
     if np.iscomplexobj(values):
         return lit
     change = (linear.adjoint_to_object(linear.residual) if gradient is None else gradient).real
-    is_at_bound = ((values <= 0.0) & (change < 0.0)) | ((values >= 1.0) & (change > 0.0))
+    is_at_bound = ((values <= 0.0) & (change < 0.0)) | ((values >= upper_bound) & (change > 0.0))
     return np.asarray(lit & ~is_at_bound)
 
 

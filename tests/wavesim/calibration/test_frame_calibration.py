@@ -31,6 +31,7 @@ from wavesim.scene.system_state import SystemState
 from wavesim.sensor.colour_filters import ColourFilters
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import Frame
+from wavesim.targets.patch import object_patch
 
 TRUE = {
     "light_tilt_x_deg": 0.5,
@@ -184,6 +185,28 @@ def test_a_camera_s_nonlinearity_and_the_exposures_of_planes_are_found(lens: Len
     for name, true, most in (("plane_2_exposure_error", -0.03, 0.01), ("nonlinearity", 0.04, 0.01)):
         value, deviation = by_name[name]
         assert abs(value - true) < 3.0 * deviation < 3.0 * most
+
+
+def test_a_grey_object_leaves_the_unevenness_of_the_light_open() -> None:
+    """The scale fits an object that is bright everywhere. It clips this one, as if the light were uneven."""
+    side_mm = 0.03
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    patch = object_patch(lens, side_mm)
+    y, x = 2.0 * patch.grid.y_mm[:, None] / side_mm, 2.0 * patch.grid.x_mm / side_mm
+    ripples = 0.7 + 0.3 * np.sin(25.0 * x + 10.0 * y)
+    grey = 0.15 + 0.8 * ripples * np.exp(-((x - 0.3) ** 2 + (y - 0.2) ** 2) / 0.15)
+    thing = Field(patch.grid, grey.astype(np.complex64), patch.wavelength_um)
+    options = {"engine": "eikonal", "error": 0.1, "exposures": (1.0, 30.0)}
+    frames = image(lens, thing, field_stop_mm=side_mm, seed=1, **options).frames
+    settings = {"kind": "amplitude", "error": 0.1, "parameters": "light,mounting"}
+    found = calibrate_frames(lens, frames, assess=False, patch_mm=side_mm, **settings)
+    estimates = zip(found.parameters, found.values, found.deviations, strict=True)
+    for name, value, deviation in estimates:
+        if name.startswith("light_amplitude"):
+            assert abs(value) < 0.02, name
+            assert deviation > 0.08, name
+        else:
+            assert abs(value) < 3.0 * deviation, name
 
 
 @pytest.mark.parametrize("kind", ["amplitude", "complex"])

@@ -72,6 +72,8 @@ class GaussNewtonStep:
         need many iterations to find such a change.
     residual : ndarray, shape (planes, ny, nx), optional
         Residuals; default: those of the linear model.
+    upper_bound
+        Largest transmission that an amplitude object can have.
     """
 
     def __init__(
@@ -86,11 +88,13 @@ class GaussNewtonStep:
         object_is_free: bool = True,
         compensations: Mapping[int, NDArray[Any]] = MappingProxyType({}),
         residual: RealArray | None = None,
+        upper_bound: float = 1.0,
     ) -> None:
         self.linear, self.kind, self.transmission = linear, kind, transmission
         residual = linear.without_scale(linear.residual if residual is None else residual)
         descent = self._object_part(linear.adjoint_to_object(residual))
-        self.free_samples = free_samples(linear, transmission, descent) & object_is_free
+        is_free = free_samples(linear, transmission, descent, upper_bound=upper_bound)
+        self.free_samples = is_free & object_is_free
         self.object_descent = descent * self.free_samples
         self.columns = columns.reshape(len(columns), -1)
         self.compensations = {index: change * self.free_samples for index, change in compensations.items()}

@@ -5,10 +5,11 @@ object. Each step of the search takes its direction from the normal equations of
 object, and its length from such reconstructions along it. Tiles are computed at the start of the search and
 perturbed from there. The derivatives of their rays hardly change during the search and are computed once.
 
-At the end, the object is reconstructed until its misfit reaches that of the noise. The normal equations
-about it, with the variance of the noise, give the estimates and their covariance
-(:mod:`wavesim.calibration.joint.covariance`). Parameters that the frames do not need
-(:mod:`wavesim.calibration.joint.selection`) return to their nominal values.
+At the end, the object is reconstructed until its misfit reaches that of the noise. An amplitude object whose
+brightest parts the search has clipped (:mod:`wavesim.reconstruction.amplitude_limit`) loses its limit, since
+uneven light would seem to cause what is clipped. The normal equations about the object, with the variance of
+the noise, give the estimates and their covariance (:mod:`wavesim.calibration.joint.covariance`). Parameters
+that the frames do not need (:mod:`wavesim.calibration.joint.selection`) return to their nominal values.
 
 The unevenness of the light is sought last, because it can imitate any other error. The tilt of the sensor is
 sought last, too: the frames determine it least, and it makes every reconstruction half as long again.
@@ -37,9 +38,12 @@ from wavesim.calibration.joint.pixels import CalibrationPixels, RayDerivatives
 from wavesim.calibration.joint.selection import count_not_needed, eliminated_in_turn
 from wavesim.calibration.object_uncertainty import ObjectUncertainty, object_uncertainty
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
+from wavesim.fields.field import Field
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import LinearModel, RealArray
 from wavesim.metrics.goodness_of_fit import LIMIT
-from wavesim.reconstruction.object_solver import reconstruct
+from wavesim.reconstruction.amplitude_limit import with_own_limit
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 
@@ -133,12 +137,16 @@ class FitResult:
 
 
 class _BenchFit(NamedTuple):
-    """A bench with the object found on it (or the known object), and the misfit of each iteration."""
+    """A bench with the object found on it (or the known object), and the misfit of each iteration.
+
+    The scale is stated where it is that of an object without a limit of 1.
+    """
 
     unknowns: Unknowns
     linear: LinearModel
     transmission: NDArray[Any]
     curve: tuple[float, ...]
+    stated_scale: float | None = None
 
     @property
     def misfit(self) -> float:
@@ -258,7 +266,7 @@ class JointSearch:
         """Return the estimates about the final object, and the bench with the parameters that are needed."""
         names = [p.name for p in self.parameters]
         self.on_stage("object on the bench found", 0, 0)
-        best = self._converged_fit(current.unknowns, verified.transmission)
+        best = self._without_wrong_limit(self._converged_fit(current.unknowns, verified))
         # Number of times that estimates are made, each about the object on the bench of the one before.
         refinements = 2
         # Ratio of misfits up to which a bench with fewer parameters, or a refined one, counts as equal.
@@ -268,9 +276,7 @@ class JointSearch:
             equations, estimates = self._estimate(best, ray_derivatives)
             if count == refinements - 1:
                 break
-            refined = self._converged_fit_or_none(
-                best.unknowns.changed(names, estimates.tolist()), best.transmission
-            )
+            refined = self._converged_fit_or_none(best.unknowns.changed(names, estimates.tolist()), best)
             if refined is None or refined.misfit > tolerated_ratio * best.misfit:
                 break
             best = refined
@@ -323,7 +329,7 @@ class JointSearch:
         def fit(count: int) -> _BenchFit | None:
             """Return the fit without a number of parameters; None if its misfit is larger."""
             values = selections[count].values.tolist()
-            found = self._converged_fit_or_none(best.unknowns.changed(names, values), best.transmission)
+            found = self._converged_fit_or_none(best.unknowns.changed(names, values), best)
             return found if found is not None and found.misfit**2 <= square + count * by_chance else None
 
         # The nominal bench comes first: small errors in stiff directions make a linear model ask for more.
@@ -351,15 +357,37 @@ class JointSearch:
         planes = self.pixels.recorded
         return sum(p.amplitude.size if p.known is None else int(p.known.sum()) for p in planes)
 
-    def _converged_fit_or_none(self, unknowns: Unknowns, start: NDArray[Any]) -> _BenchFit | None:
+    def _converged_fit_or_none(self, unknowns: Unknowns, start: _BenchFit) -> _BenchFit | None:
         try:
             return self._converged_fit(unknowns, start)
         except TransferLensError:
             return None
 
-    def _converged_fit(self, unknowns: Unknowns, start: NDArray[Any]) -> _BenchFit:
+    def _converged_fit(self, unknowns: Unknowns, start: _BenchFit) -> _BenchFit:
         """Return the bench with an object whose misfit has reached the noise or has converged."""
         return self._fit_bench(unknowns, start=start, iterations=CONVERGED_ITERATIONS)
+
+    def _without_wrong_limit(self, fit: _BenchFit) -> _BenchFit:
+        """Return the bench with an amplitude object that is not limited where the search has clipped it."""
+        if self.kind != "amplitude" or self.known is not None or self.pixels.scale is not None:
+            return fit
+        if self.noise_misfit is None:  # how far noise brightens the object is not known
+            return fit
+        model = fit.linear.model
+
+        def solve(
+            start: Field | None, scale: float, *, bounded: bool, iterations: int | None = None
+        ) -> Reconstructed:
+            most = iterations or CONVERGED_ITERATIONS
+            return self._object(model, start, most, scale=scale, until_noise=False, bounded=bounded)
+
+        transmission = model.illumination.with_values(fit.transmission)
+        found = Reconstructed(transmission, fit.curve, (), model.scale, "converged")
+        limited = with_own_limit(solve, found, model.illumination, model.noise_of_step())
+        if limited is found:
+            return fit
+        free = solve(limited.transmission, limited.scale, bounded=False)
+        return self._on_bench(fit.unknowns, model, free, free.scale)
 
     def _estimate(
         self, fit: _BenchFit, ray_derivatives: RayDerivatives | None
@@ -384,7 +412,7 @@ class JointSearch:
 
     def _verified(self, current: _BenchFit) -> _BenchFit:
         """Return the bench with tiles of its own, after as many iterations again."""
-        return self._fit_bench(current.unknowns, start=current.transmission)
+        return self._fit_bench(current.unknowns, start=current)
 
     def _is_misled(self, current: _BenchFit, verified: _BenchFit) -> bool:
         """Return whether a bench's own tiles leave a larger misfit than the perturbed tiles of the search."""
@@ -528,37 +556,64 @@ class JointSearch:
         self,
         unknowns: Unknowns,
         reference: Operator | None = None,
-        start: NDArray[Any] | None = None,
+        start: _BenchFit | None = None,
         iterations: int | None = None,
     ) -> _BenchFit:
-        """Reconstruct the object from even light or a given object, by tiles of this or a similar bench."""
+        """Reconstruct the object from even light or that of a fit, by tiles of this or a similar bench."""
         model = self.pixels.model(unknowns, reference)
         if self.known is not None:
             linear = LinearModel(model, self.known, self.pixels.scale is None)
             model.scale = linear.scale
             return _BenchFit(unknowns, linear, self.known, (linear.misfit,))
+        stated = self.pixels.scale if start is None or start.stated_scale is None else start.stated_scale
+        found = self._object(
+            model,
+            None if start is None else model.illumination.with_values(start.transmission),
+            iterations or self.iterations,
+            scale=stated,
+            until_noise=iterations is not None,
+            bounded=start is None or start.stated_scale is None,
+        )
+        return self._on_bench(unknowns, model, found, None if start is None else start.stated_scale)
+
+    def _object(
+        self,
+        model: ForwardModel,
+        start: Field | None,
+        iterations: int,
+        *,
+        scale: float | None,
+        until_noise: bool,
+        bounded: bool,
+    ) -> Reconstructed:
         # More inner iterations take longer than the propagation through the lens.
-        found = reconstruct(
+        return reconstruct(
             model.engine,
             model.illumination,
             model.recorded,
             kind=self.kind,
             tv_weight="auto" if self.noise_misfit is not None else 0.0,
-            iterations=iterations or self.iterations,
-            until_noise=iterations is not None,
-            scale=self.pixels.scale,
-            start=None if start is None else model.illumination.with_values(start),
+            iterations=iterations,
+            until_noise=until_noise,
+            scale=scale,
+            start=start,
             fill_factor=self.pixels.fill_factor,
             modes=model.modes,
             rows=self.pixels.rows,
             residuals=False,
             inner_iterations=2,
+            bounded=bounded,
         )
+
+    def _on_bench(
+        self, unknowns: Unknowns, model: ForwardModel, found: Reconstructed, stated_scale: float | None
+    ) -> _BenchFit:
+        """Return the bench of a model with an object that was found on it."""
         model.scale = found.scale
         values = found.transmission.values
         transmission = values.real if self.kind == "amplitude" else values
         linear = LinearModel(model, transmission, self.pixels.scale is None)
-        return _BenchFit(unknowns, linear, transmission, found.misfit)
+        return _BenchFit(unknowns, linear, transmission, found.misfit, stated_scale)
 
     def _normal_equations(
         self,
@@ -582,6 +637,7 @@ class JointSearch:
             object_is_free,
             self._compensations(fit, parameters) if object_is_free else {},
             residual,
+            1.0 if fit.stated_scale is None else math.inf,
         )
 
     def _compensations(self, fit: _BenchFit, parameters: Sequence[Parameter]) -> dict[int, NDArray[Any]]:
