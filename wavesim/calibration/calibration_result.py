@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import Finite, FrozenModel
@@ -226,7 +227,7 @@ class Calibrated:
             "source_deviations": dict(self.source_deviations),
             "object_uncertainty": None
             if self.object_uncertainty is None
-            else vars(self.object_uncertainty.summary),
+            else self.object_uncertainty.summary.as_dict(),
         }
 
     def __repr__(self) -> str:
@@ -298,6 +299,7 @@ class _BenchUncertainty(FrozenModel):
     correlation: Finite
     correlation_without_low_orders: Finite
     phase_waves: dict[str, Finite]
+    brightness: dict[str, Finite] = Field(default_factory=dict)
 
 
 def bench_uncertainty_of(path: str | os.PathLike[str]) -> BenchUncertainty | None:

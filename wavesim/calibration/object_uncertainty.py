@@ -6,8 +6,9 @@ changes :math:`x_k`, of one standard deviation each, where :math:`x_k` follows t
 bench (:mod:`wavesim.reconstruction.object_response`). A complex or phase object also takes over all errors of
 the light that were not sought; they have the standard deviations that are expected.
 
-Ramp and curvature of an object's phase are exchanged with light and mounting. They may be whole waves, so
-that they are a factor of the object, :math:`\\exp(i \\phi)`, and not a small change.
+Ramp and curvature of an object's phase are exchanged with light and mounting, and those of its brightness
+with the unevenness of the light. The phase may be whole waves, so that these low orders are a factor of the
+object, :math:`\\exp(a + i \\phi)`, and not a small change.
 """
 
 from __future__ import annotations
@@ -34,7 +35,6 @@ from wavesim.metrics.low_orders import (
     low_order_polynomial,
 )
 from wavesim.reconstruction.object_response import following_change
-from wavesim.scene.light_errors import Orders
 
 ComplexArray = NDArray[np.complexfloating]
 
@@ -57,8 +57,8 @@ class ObjectUncertainty:
     changes : ndarray, shape (m, ny, nx)
         Changes of the transmission.
     exponents : ndarray, shape (m, 6)
-        Low orders (`LOW_ORDERS`) of the exponent of a factor that belongs to each change; 0 for an amplitude
-        object.
+        Low orders (`LOW_ORDERS`) of the exponent of a factor that belongs to each change: real for an
+        amplitude object, and imaginary for a phase object.
     """
 
     light: Field
@@ -68,18 +68,11 @@ class ObjectUncertainty:
 
     @cached_property
     def summary(self) -> BenchUncertainty:
-        """Correlations that these errors leave, and the low orders of the phase."""
-        waves = self.phase_waves if np.any(self.exponents) else {}
+        """Correlations that these errors leave, and the low orders of phase and brightness."""
         with_all = self.least_correlation()
-        without = self.least_correlation(low_orders=False) if waves else with_all
-        return BenchUncertainty(with_all, without, {ORDER_NAMES[n]: size for n, size in waves.items()})
-
-    @property
-    def phase_waves(self) -> Mapping[Orders, float]:
-        """Standard deviation in waves of each low order of the phase."""
-        deviations = np.sqrt(np.sum(self.exponents.imag**2, axis=0)) / (2.0 * np.pi)
-        by_orders = dict(zip(LOW_ORDERS, deviations.tolist(), strict=True))
-        return {orders: by_orders[orders] for orders in PHASE_ORDERS}
+        without = self.least_correlation(low_orders=False) if np.any(self.exponents) else with_all
+        waves = _deviations(self.exponents.imag / (2.0 * np.pi))
+        return BenchUncertainty(with_all, without, waves, _deviations(self.exponents.real))
 
     def least_correlation(self, *, low_orders: bool = True) -> float:
         """Return the correlation with the true object that 99 % of all such errors reach.
@@ -104,6 +97,13 @@ class ObjectUncertainty:
                 object_correlation(self.light.with_values(self.light.values * other), lit, self.light)
             )
         return float(np.nanquantile(found, missed)) if np.isfinite(found).any() else 1.0
+
+
+def _deviations(orders: NDArray[np.floating]) -> Mapping[str, float]:
+    """Return the standard deviation of each low order by name; empty where all are 0."""
+    deviations = np.sqrt(np.sum(orders**2, axis=0))
+    by_orders = dict(zip(LOW_ORDERS, deviations.tolist(), strict=True))
+    return {ORDER_NAMES[one]: by_orders[one] for one in PHASE_ORDERS} if np.any(deviations) else {}
 
 
 def object_uncertainty(
@@ -139,16 +139,17 @@ def object_uncertainty(
             change = change + np.float32(direction[parameter]) * compensation
         changes.append(change)
     exponents = np.zeros((len(changes), len(LOW_ORDERS)), complex)
+    power, even = np.abs(light.values) ** 2, np.ones(values.shape)
+    for index, change in enumerate(changes):
+        exponents[index] = low_order_coefficients(change, values, power)
+        low_orders = low_order_polynomial(exponents[index], values.shape) * values
+        changes[index] = change - (low_orders if np.iscomplexobj(values) else low_orders.real)
     if equations.kind != "amplitude":
-        power, even = np.abs(light.values) ** 2, np.ones(values.shape)
-        for index, change in enumerate(changes):
-            exponents[index] = low_order_coefficients(change, values, power)
-            changes[index] = change - low_order_polynomial(exponents[index], values.shape) * values
         of_light = [low_order_coefficients(-change, even, power) for change in absorbed]
         exponents = np.vstack([exponents, *of_light])
         changes += [np.zeros_like(values) for _ in absorbed]
-        if equations.kind == "phase":
-            exponents.real = 0.0
+    if equations.kind == "phase":
+        exponents.real = 0.0
     return ObjectUncertainty(light, values, np.stack(changes), exponents)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,22 +106,34 @@ class BenchUncertainty:
     phase_waves : mapping
         Standard deviation in waves of each low order of the phase of a complex or phase object, by name;
         empty for an amplitude object.
+    brightness : mapping
+        Relative standard deviation of each low order of the amplitude, by name; empty for a phase object.
     """
 
     correlation: float
     correlation_without_low_orders: float
     phase_waves: Mapping[str, float]
+    brightness: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def words(self) -> str:
         """The low orders that are not determined, in words; empty where all are."""
-        # Standard deviation in waves from which an order counts as not determined.
-        least_waves = 0.01
-        open_orders = {name: size for name, size in self.phase_waves.items() if size >= least_waves}
-        if not open_orders:
-            return ""
-        parts = ", ".join(f"{name} ±{size:.2g}" for name, size in open_orders.items())
-        return f"low orders of the object's phase, which light and mounting change alike (waves): {parts}"
+        # Standard deviations from which an order counts as not determined, in waves and relative.
+        least_waves, least_brightness = 0.01, 0.02
+        kinds = (
+            ("phase, which light and mounting change alike (waves)", self.phase_waves, least_waves),
+            ("brightness, which uneven light changes alike (relative)", self.brightness, least_brightness),
+        )
+        sentences = []
+        for what, orders, least in kinds:
+            parts = ", ".join(f"{name} ±{size:.2g}" for name, size in orders.items() if size >= least)
+            if parts:
+                sentences.append(f"low orders of the object's {what}: {parts}")
+        return "; ".join(sentences)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return vars(self) | {"phase_waves": dict(self.phase_waves), "brightness": dict(self.brightness)}
 
 
 @dataclass(frozen=True)
@@ -319,7 +331,7 @@ class GoodnessOfFit:
             ],
             "noise": None if self.noise is None else self.noise._asdict(),
             "undetected": [vars(one) for one in self.undetected],
-            "bench": None if self.bench is None else vars(self.bench) | {"words": self.bench.words},
+            "bench": None if self.bench is None else self.bench.as_dict() | {"words": self.bench.words},
             "least_correlation": self.least_correlation,
             "least_correlation_without_low_orders": self.least_correlation_without_low_orders,
             "words": self.words,
