@@ -139,14 +139,14 @@ class FitResult:
 class _BenchFit(NamedTuple):
     """A bench with the object found on it (or the known object), and the misfit of each iteration.
 
-    The scale is stated where it is that of an object without a limit of 1.
+    An amplitude object that the limit of 1 would clip has none, and keeps its scale.
     """
 
     unknowns: Unknowns
     linear: LinearModel
     transmission: NDArray[Any]
     curve: tuple[float, ...]
-    stated_scale: float | None = None
+    upper_bound: float = 1.0
 
     @property
     def misfit(self) -> float:
@@ -384,10 +384,10 @@ class JointSearch:
         transmission = model.illumination.with_values(fit.transmission)
         found = Reconstructed(transmission, fit.curve, (), model.scale, "converged")
         limited = with_own_limit(solve, found, model.illumination, model.noise_of_step())
-        if limited is found:
+        if limited.scale <= found.scale:  # the limit was right, or too high
             return fit
         free = solve(limited.transmission, limited.scale, bounded=False)
-        return self._on_bench(fit.unknowns, model, free, free.scale)
+        return self._on_bench(fit.unknowns, model, free, math.inf)
 
     def _estimate(
         self, fit: _BenchFit, ray_derivatives: RayDerivatives | None
@@ -565,16 +565,19 @@ class JointSearch:
             linear = LinearModel(model, self.known, self.pixels.scale is None)
             model.scale = linear.scale
             return _BenchFit(unknowns, linear, self.known, (linear.misfit,))
-        stated = self.pixels.scale if start is None or start.stated_scale is None else start.stated_scale
+        first, scale, upper_bound = None, self.pixels.scale, 1.0
+        if start is not None:
+            first, upper_bound = model.illumination.with_values(start.transmission), start.upper_bound
+            scale = scale if math.isfinite(upper_bound) else start.linear.model.scale
         found = self._object(
             model,
-            None if start is None else model.illumination.with_values(start.transmission),
+            first,
             iterations or self.iterations,
-            scale=stated,
+            scale=scale,
             until_noise=iterations is not None,
-            bounded=start is None or start.stated_scale is None,
+            bounded=math.isfinite(upper_bound),
         )
-        return self._on_bench(unknowns, model, found, None if start is None else start.stated_scale)
+        return self._on_bench(unknowns, model, found, upper_bound)
 
     def _object(
         self,
@@ -606,14 +609,14 @@ class JointSearch:
         )
 
     def _on_bench(
-        self, unknowns: Unknowns, model: ForwardModel, found: Reconstructed, stated_scale: float | None
+        self, unknowns: Unknowns, model: ForwardModel, found: Reconstructed, upper_bound: float
     ) -> _BenchFit:
         """Return the bench of a model with an object that was found on it."""
         model.scale = found.scale
         values = found.transmission.values
         transmission = values.real if self.kind == "amplitude" else values
         linear = LinearModel(model, transmission, self.pixels.scale is None)
-        return _BenchFit(unknowns, linear, transmission, found.misfit, stated_scale)
+        return _BenchFit(unknowns, linear, transmission, found.misfit, upper_bound)
 
     def _normal_equations(
         self,
@@ -637,7 +640,7 @@ class JointSearch:
             object_is_free,
             self._compensations(fit, parameters) if object_is_free else {},
             residual,
-            1.0 if fit.stated_scale is None else math.inf,
+            fit.upper_bound,
         )
 
     def _compensations(self, fit: _BenchFit, parameters: Sequence[Parameter]) -> dict[int, NDArray[Any]]:
