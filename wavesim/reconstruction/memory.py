@@ -154,7 +154,7 @@ def run_bytes(
 
 
 def _testing_bytes(engine: Engine, planes: int, kind: Kind) -> int:
-    """Return the memory of the score test of the bench, with a second engine that is displaced."""
+    """Return the memory of the score test of the bench, with a second engine of another wavelength."""
     if isinstance(engine, Tiled):  # it is not tested
         return 0
     scene, parameters = engine.scene, 4 + 3 * planes

@@ -21,14 +21,6 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.analysis.paraxial import first_order
-from wavesim.calibration.joint.perturbed_tiles import (
-    PathDerivatives,
-    PerturbedScene,
-    PerturbedTiles,
-    exit_field_changes_by_engines,
-    exit_field_changes_by_rays,
-    path_derivatives,
-)
 from wavesim.calibration.parameters import (
     EXPOSURE_ERROR,
     NONLINEARITY,
@@ -40,6 +32,14 @@ from wavesim.calibration.parameters import (
     light_orders,
 )
 from wavesim.engines.eikonal.engine import FlatTiles
+from wavesim.engines.eikonal.perturbed_tiles import (
+    PathDerivatives,
+    PerturbedScene,
+    PerturbedTiles,
+    exit_field_changes_by_engines,
+    exit_field_changes_by_rays,
+    path_derivatives,
+)
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray

@@ -22,7 +22,7 @@ Phil. Soc. 44, 50 (1948).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,6 +31,13 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import quantity_sentence
+from wavesim.engines.eikonal.engine import FlatTiles
+from wavesim.engines.eikonal.perturbed_tiles import (
+    PerturbedScene,
+    exit_field_changes_by_engines,
+    exit_field_changes_by_rays,
+    path_derivatives,
+)
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
@@ -172,9 +179,8 @@ def score_test(
     linear = LinearModel(model, values, fits_scale)
     model.scale = linear.scale
     columns: dict[str, RealArray] = {}
-    for name, scene, step in _displaced_scenes(engine.scene):
-        progress(f"effect of {name}")
-        columns[name] = _scene_column(linear, scene, step)
+    progress("effect of the mounting")
+    columns |= _mounting_columns(linear)
     columns |= _plane_columns(linear)
     progress("effect of the source")
     columns |= _source_columns(linear, model, values)
@@ -290,27 +296,40 @@ def _scores(names: Sequence[str], gradient: Array, noise: Array) -> dict[str, fl
     return scores
 
 
-def _displaced_scenes(scene: Scene) -> Iterator[tuple[str, Scene, float]]:
-    """Yield the name of each displacement, the displaced scene, and the size of the step."""
+def _displaced_scenes(scene: Scene) -> dict[str, PerturbedScene]:
+    """Return the scene with a small step of each parameter of the mounting."""
     aperture = min(scene.lens.object.numerical_aperture, 0.99)
     # Phase in rad at the rim of the aperture that a finite step of a parameter causes.
     step_rad = 0.12
     across_mm = step_rad / (2.0 * math.pi) * 1e-3 * scene.wavelength_um / aperture
     tilt_deg = math.degrees(3.0 * across_mm / abs(scene.lens.object_z_mm))
+    scenes = {}
     for name, step in zip(MOUNTING, (across_mm, across_mm, tilt_deg, tilt_deg), strict=False):
         pose = replace(scene.pose, **{name: getattr(scene.pose, name) + step})
-        yield name, replace(scene, pose=pose), step
+        scenes[name] = PerturbedScene(replace(scene, pose=pose), step)
     step, grid = 2.0 * across_mm / aperture, scene.object_grid
-    yield MOUNTING[-1], replace(scene, object_grid=grid.at(grid.z_mm - step)), step
+    scenes[MOUNTING[-1]] = PerturbedScene(replace(scene, object_grid=grid.at(grid.z_mm - step)), step)
+    return scenes
 
 
-def _scene_column(linear: LinearModel, scene: Scene, step: float) -> RealArray:
-    """Return the change of the modelled amplitudes per unit of a displacement."""
+def _mounting_columns(linear: LinearModel) -> dict[str, RealArray]:
+    """Return the changes of the modelled amplitudes per unit of each parameter of the mounting.
+
+    They follow from the paths of displaced rays, or, for engines without rays, from displaced engines.
+    """
     engine, lit = linear.model.engine, linear.lit
     assert isinstance(engine, Engine)
-    displaced = engine_on(engine, scene)
-    after = displaced.forward(replace(lit, grid=scene.object_grid)).values
-    return linear.jacobian_times_exit_field(((after - engine.forward(lit).values) / step).astype(after.dtype))
+    scenes = _displaced_scenes(engine.scene)
+    displaced = list(scenes.values())
+    if isinstance(engine, FlatTiles):
+        changes = exit_field_changes_by_rays(
+            engine, lit, path_derivatives(engine, lit.values.dtype, displaced)
+        )
+    else:
+        changes = exit_field_changes_by_engines(
+            engine, lit, displaced, lambda scene: engine_on(engine, scene)
+        )
+    return dict(zip(scenes, map(linear.jacobian_times_exit_field, changes), strict=True))
 
 
 def _plane_columns(linear: LinearModel) -> dict[str, RealArray]:

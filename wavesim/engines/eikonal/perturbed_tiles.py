@@ -12,6 +12,7 @@ new tiles. Amplitudes, and the path of a tile beyond its first order, stay uncha
 
 from __future__ import annotations
 
+import cmath
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -281,12 +282,18 @@ def exit_field_changes_by_engines(
 ) -> list[ComplexArray]:
     """Return the changes of :func:`exit_field_changes_by_rays` by finite differences of whole engines.
 
-    `make` returns the engine of a changed scene.
+    `make` returns the engine of a changed scene. A phase that the whole field gains, as behind an object that
+    is nearer, may be too large for a difference of fields. It is removed from the difference and counts as
+    its own, linear part. Beyond half a wave it is known up to whole waves, which amplitudes do not show.
     """
     now = engine.forward(lit).values
-    return [
-        (make(each.scene).forward(_on_scene(lit, each.scene)).values - now) / each.step for each in perturbed
-    ]
+    changes = []
+    for each in perturbed:
+        after = make(each.scene).forward(_on_scene(lit, each.scene)).values
+        phase = float(np.angle(np.vdot(now, after)))
+        change = cmath.exp(-1j * phase) * after - (1.0 - 1j * phase) * now
+        changes.append((change / each.step).astype(after.dtype))
+    return changes
 
 
 def _tile_moments(engine: FlatTiles, field: Field) -> Iterator[tuple[Tile, RayMap, ComplexArray]]:
