@@ -333,6 +333,25 @@ class LinearModel:
             planes.append((residual - root * bias / self.size).astype(residual.dtype))
         return np.stack(planes)
 
+    def shown_fraction(self) -> RealArray:
+        """Return the change of the mean measured amplitude per change of the modelled one, for each pixel.
+
+        It is 1 in bright pixels, and nearly 0 in those whose noise hides their light
+        (:func:`wavesim.sensor.measurement.amplitude_bias`) and on planes without standard deviations 1.
+        """
+        planes = []
+        # Step in standard deviations, small beside the scale on which the bias changes.
+        step_deviations = 0.05
+        for index, plane in enumerate(self.model.recorded):
+            modelled = self._modelled_amplitude(index)
+            if plane.sigma is None:
+                planes.append(np.ones_like(modelled))
+                continue
+            step = step_deviations * np.where(np.isfinite(plane.sigma), plane.sigma, 1.0)
+            rise = amplitude_bias(plane, modelled + step) - amplitude_bias(plane, modelled)
+            planes.append((1.0 + rise / step).astype(modelled.dtype))
+        return np.stack(planes)
+
     def residual_variances(self, model_error: float) -> RealArray | None:
         """Return the variance of each residual: that of the noise, and a relative error of the amplitudes.
 

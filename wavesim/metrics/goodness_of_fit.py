@@ -76,16 +76,17 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Undetected:
-    """A displacement of the lens or the object that frames cannot exclude.
+    """An error of mounting or source that the frames cannot exclude.
 
     Attributes
     ----------
     parameter : str
         Name with its unit.
     size : float
-        Largest displacement that stays within the noise and the model's errors, in the unit of the name.
+        Smallest size that the test of the bench would report, in the unit of the name: it is significant, and
+        changes the object. From a linear model.
     correlation : float
-        Correlation of the object found with the one that the frames give with this displacement.
+        Correlation of the object found with the one that the frames give with this error.
     """
 
     parameter: str
@@ -207,7 +208,7 @@ class GoodnessOfFit:
     noise : NoiseCheck or None
         Residuals over the stated noise alone; None if no pixel was held out.
     undetected : tuple of Undetected
-        Displacements that the frames cannot exclude; empty if they were not computed.
+        Errors of the bench that the frames cannot exclude; empty if they were not computed.
     model_error : float
         Relative error of amplitudes that was allowed for engine and pixel model.
     judged : bool
@@ -408,7 +409,7 @@ def verdict(
     findings
         Other reasons not to trust the result.
     undetected
-        Displacements that the frames cannot exclude.
+        Errors of the bench that the frames cannot exclude.
     calibrated
         Whether the bench was calibrated before, so that a calibration is not advised.
     rounding

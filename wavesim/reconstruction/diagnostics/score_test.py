@@ -81,6 +81,12 @@ Estimated errors of a bench that is right are small with an amplitude object, an
 """
 
 
+ENLARGEMENT, MOST_ENLARGEMENTS = 1.1, 30
+"""Factor by which the size of an error grows until it changes the object enough, and the largest number of
+such steps.
+"""
+
+
 @dataclass(frozen=True)
 class ScoreTest:
     """Result of the score test.
@@ -103,7 +109,8 @@ class ScoreTest:
     cause : str
         The cause that explains most.
     undetected : tuple of Undetected
-        Errors of mounting and source that the frames cannot exclude.
+        For each parameter of mounting and source, the smallest error that the test would report, if it were
+        the only one.
     """
 
     estimate: Mapping[str, float]
@@ -118,8 +125,8 @@ class ScoreTest:
     @property
     def is_preferred(self) -> bool:
         """True if frames clearly prefer another bench, and the object would differ."""
-        threshold = CERTAIN_CHI_SQUARE + CERTAIN_PER_PIXEL * self.pixels
-        return self.chi_square > threshold and 1.0 - self.correlation > self.least_loss
+        is_certain = self.chi_square > _certain_chi_square(self.pixels)
+        return is_certain and 1.0 - self.correlation > self.least_loss
 
     @property
     def explanation(self) -> str:
@@ -203,27 +210,33 @@ def score_test(
     estimate, used = _estimate(names, hessian, gradient)
     scores = _scores([names[j] for j in used], gradient[used], noise[np.ix_(used, used)])
 
-    def correlation(shift: Array) -> float:
-        change = np.tensordot((shift * unit).astype(np.float32), np.stack(following_changes), 1)
+    def correlation(change: NDArray[Any]) -> float:
         found, changed = (light.with_values(light.values * one) for one in (values, values + change))
         between = object_correlation(changed, found, light)
         return 1.0 if math.isnan(between) else between  # of an object that is as even as the light
 
+    least_loss = LEAST_LOSS_OF_AMPLITUDE if kind == "amplitude" else LEAST_LOSS
+    threshold, shown = _certain_chi_square(residual.size), linear.shown_fraction().ravel()
     undetected = []
-    # Standard deviations up to which an error of the bench counts as noise.
-    deviations = 2.0
     for name in (*MOUNTING, *SOURCE):
         j = names.index(name)
-        size = deviations * math.sqrt(noise[j, j]) + model_error
-        detected = correlation(size * np.eye(len(columns))[j])
-        undetected.append(Undetected(name, _in_unit(name, float(size * unit[j])), detected))
+        change = following_changes[j] * np.float32(unit[j])
+        expected = np.asarray(remaining @ (shown * remaining[j]), float) * unit * unit[j]
+        size = math.sqrt(threshold / _chi_square(expected, noise))
+        for _ in range(MOST_ENLARGEMENTS):
+            reached = correlation(np.float32(size) * change)
+            if 1.0 - reached >= least_loss:
+                break
+            size *= ENLARGEMENT
+        undetected.append(Undetected(name, _in_unit(name, float(size * unit[j])), reached))
+    by_estimate = np.tensordot((estimate * unit).astype(np.float32), np.stack(following_changes), 1)
     values_by_name = zip(names, (estimate * unit).tolist(), strict=True)
     return ScoreTest(
         {name: _in_unit(name, value) for name, value in values_by_name},
         _chi_square(gradient[used], noise[np.ix_(used, used)]),
         float(gradient @ estimate),
-        correlation(estimate),
-        LEAST_LOSS_OF_AMPLITUDE if kind == "amplitude" else LEAST_LOSS,
+        correlation(by_estimate),
+        least_loss,
         residual.size,
         max(scores, key=lambda cause: scores[cause]),
         tuple(undetected),
@@ -273,6 +286,11 @@ def _estimate(names: Sequence[str], hessian: Array, gradient: Array) -> tuple[Ar
         if not negative:
             return estimate, used
         used.remove(min(negative, key=lambda j: estimate[j]))
+
+
+def _certain_chi_square(pixels: int) -> float:
+    """Return the chi-square above which frames prefer another bench."""
+    return CERTAIN_CHI_SQUARE + CERTAIN_PER_PIXEL * pixels
 
 
 def _chi_square(gradient: Array, noise: Array) -> float:
