@@ -299,7 +299,7 @@ class _BenchUncertainty(FrozenModel):
     correlation: Finite
     correlation_without_low_orders: Finite
     phase_waves: dict[str, Finite]
-    brightness: dict[str, Finite] = Field(default_factory=dict)
+    amplitude: dict[str, Finite] = Field(default_factory=dict)
 
 
 def bench_uncertainty_of(path: str | os.PathLike[str]) -> BenchUncertainty | None:

@@ -6,7 +6,7 @@ changes :math:`x_k`, of one standard deviation each, where :math:`x_k` follows t
 bench (:mod:`wavesim.reconstruction.object_response`). A complex or phase object also takes over all errors of
 the light that were not sought; they have the standard deviations that are expected.
 
-Ramp and curvature of an object's phase are exchanged with light and mounting, and those of its brightness
+Ramp and curvature of an object's phase are exchanged with light and mounting, and those of its amplitude
 with the unevenness of the light. The phase may be whole waves, so that these low orders are a factor of the
 object, :math:`\\exp(a + i \\phi)`, and not a small change.
 """
@@ -68,7 +68,7 @@ class ObjectUncertainty:
 
     @cached_property
     def summary(self) -> BenchUncertainty:
-        """Correlations that these errors leave, and the low orders of phase and brightness."""
+        """Correlations that these errors leave, and the low orders of phase and amplitude."""
         with_all = self.least_correlation()
         without = self.least_correlation(low_orders=False) if np.any(self.exponents) else with_all
         waves = _deviations(self.exponents.imag / (2.0 * np.pi))
@@ -143,7 +143,9 @@ def object_uncertainty(
     for index, change in enumerate(changes):
         exponents[index] = low_order_coefficients(change, values, power)
         low_orders = low_order_polynomial(exponents[index], values.shape) * values
-        changes[index] = change - (low_orders if np.iscomplexobj(values) else low_orders.real)
+        changes[index] = change - (low_orders if np.iscomplexobj(values) else low_orders.real).astype(
+            change.dtype
+        )
     if equations.kind != "amplitude":
         of_light = [low_order_coefficients(-change, even, power) for change in absorbed]
         exponents = np.vstack([exponents, *of_light])

@@ -107,23 +107,23 @@ class BenchUncertainty:
     phase_waves : mapping
         Standard deviation in waves of each low order of the phase of a complex or phase object, by name;
         empty for an amplitude object.
-    brightness : mapping
+    amplitude : mapping
         Relative standard deviation of each low order of the amplitude, by name; empty for a phase object.
     """
 
     correlation: float
     correlation_without_low_orders: float
     phase_waves: Mapping[str, float]
-    brightness: Mapping[str, float] = field(default_factory=dict)
+    amplitude: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def words(self) -> str:
         """The low orders that are not determined, in words; empty where all are."""
         # Standard deviations from which an order counts as not determined, in waves and relative.
-        least_waves, least_brightness = 0.01, 0.02
+        least_waves, least_amplitude = 0.01, 0.02
         kinds = (
             ("phase, which light and mounting change alike (waves)", self.phase_waves, least_waves),
-            ("brightness, which uneven light changes alike (relative)", self.brightness, least_brightness),
+            ("amplitude, which uneven light changes alike (relative)", self.amplitude, least_amplitude),
         )
         sentences = []
         for what, orders, least in kinds:
@@ -134,7 +134,7 @@ class BenchUncertainty:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return vars(self) | {"phase_waves": dict(self.phase_waves), "brightness": dict(self.brightness)}
+        return vars(self) | {"phase_waves": dict(self.phase_waves), "amplitude": dict(self.amplitude)}
 
 
 @dataclass(frozen=True)

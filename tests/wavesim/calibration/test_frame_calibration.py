@@ -210,8 +210,8 @@ def test_a_grey_object_leaves_the_unevenness_of_the_light_open() -> None:
     assert found.object_uncertainty is not None
     left = found.object_uncertainty.summary
     # Five modes of the light, whose expected deviations are 0.1, change the object.
-    assert all(0.07 < deviation < 0.13 for deviation in left.brightness.values()), left.brightness
-    assert "brightness, which uneven light changes alike" in left.words
+    assert all(0.07 < deviation < 0.13 for deviation in left.amplitude.values()), left.amplitude
+    assert "amplitude, which uneven light changes alike" in left.words
     assert left.correlation < 0.99 < left.correlation_without_low_orders
 
 
