@@ -266,7 +266,6 @@ def _score_test(
             test.estimate,
             test.fall,
             kind=settings.kind,
-            tv_weight=settings.tv_weight,
             scale=scale,
             fill_factor=settings.fill_factor,
         )

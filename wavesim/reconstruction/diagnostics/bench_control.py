@@ -2,23 +2,21 @@
 
 The score test is linear, and assumes an object that the frames alone determine. The total variation and
 iterations that end early hold an object back, and what they leave may resemble the effect of another bench.
-Two short searches therefore continue from the object found: one on the assumed bench, and one on a bench with
-a fraction e of the estimated errors. If frames prefer this bench, the squared misfit of the second search is
-lower by (2 e - e^2) times the fall that the linear model predicts for the whole errors. The measured part of
-it corrects the significance.
+Two short searches without total variation therefore continue from the object found: one on the assumed bench,
+and one on a bench with a fraction e of the estimated errors. If frames prefer this bench, the squared misfit
+of the second search is lower by (2 e - e^2) times the fall that the linear model predicts for the whole
+errors. The measured part of it corrects the significance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.reconstruction.diagnostics.score_test import MOUNTING
 from wavesim.reconstruction.object_solver import reconstruct
-from wavesim.reconstruction.search_rules import tv_factor
 from wavesim.reconstruction.source_search import modes_on
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
@@ -80,7 +78,6 @@ def measured_part(
     predicted_fall: float,
     *,
     kind: Kind,
-    tv_weight: float | Literal["auto"],
     scale: float,
     fill_factor: float,
 ) -> float:
@@ -96,7 +93,7 @@ def measured_part(
         Estimated errors of the bench, by name.
     predicted_fall
         Fall of the squared misfit that the linear model predicts for these errors.
-    kind, tv_weight, scale, fill_factor
+    kind, scale, fill_factor
         See :func:`wavesim.reconstruct`.
 
     Returns
@@ -119,14 +116,13 @@ def measured_part(
             one.light,
             one.recorded,
             kind=kind,
-            tv_weight=tv_weight,
+            tv_weight=0.0,
             iterations=ITERATIONS,
             scale=scale,
             start=replace(transmission, grid=one.light.grid),
             fill_factor=fill_factor,
             modes=modes_on(one.light, one.source),
             residuals=False,
-            tv_factor=tv_factor(kind, one.engine, one.recorded),
         )
         misfits.append(found.misfit)
     last = min(map(len, misfits)) - 1

@@ -65,7 +65,7 @@ def control_of(bench: Bench, errors: Mapping[str, float], tv_factor: float) -> t
     test = score_test(
         bench.engine, bench.light, frames, found.values, fits_scale=False, model_error=1e-3, **settings
     )
-    return test, measured_part(given, found, test.estimate, test.fall, tv_weight=weight, **settings)
+    return test, measured_part(given, found, test.estimate, test.fall, **settings)
 
 
 def test_a_displaced_bench_lowers_the_misfit_as_predicted(assumed: Bench) -> None:
