@@ -125,6 +125,15 @@ class GaussNewtonStep:
         result.descent = self.descent[chosen]
         return result
 
+    def after(self, step: Array) -> GaussNewtonStep:
+        """Return the equations after a step of the bench parameters, shape (parameters,), for the rest."""
+        result = copy.copy(self)
+        change = (step.astype(self.columns.dtype) @ self.columns).reshape(self.linear.residual.shape)
+        followed = self._object_part(self.linear.adjoint_to_object(change)) * self.free_samples
+        result.object_descent = self.object_descent - followed
+        result.descent = self.descent - self.hessian @ step
+        return result
+
     def solve(self, iterations: int) -> Array:
         """Return the step of the bench parameters, shape (parameters,)."""
         descent = self.object_descent

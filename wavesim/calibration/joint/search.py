@@ -404,10 +404,12 @@ class JointSearch:
         equations.damping = np.zeros_like(equations.damping)
         values = fit.unknowns.of([p.name for p in self.parameters])
         estimates = values + equations.solve(ESTIMATE_ITERATIONS)
-        is_free = estimates >= _lower_bounds(self.parameters)
-        if not is_free.all():  # a parameter that would leave its range stays, and moves the others' optimum
-            estimates = values.copy()
-            estimates[is_free] += equations.restricted(is_free).solve(ESTIMATE_ITERATIONS)
+        lower_bounds = _lower_bounds(self.parameters)
+        is_free = estimates >= lower_bounds
+        if not is_free.all():  # a parameter that would leave its range ends there, and moves the others
+            estimates = np.where(is_free, values, lower_bounds)
+            remaining = equations.after(estimates - values).restricted(is_free)
+            estimates[is_free] += remaining.solve(ESTIMATE_ITERATIONS)
         return equations, estimates
 
     def _verified(self, current: _BenchFit) -> _BenchFit:

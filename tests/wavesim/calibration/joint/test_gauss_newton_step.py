@@ -177,6 +177,24 @@ def test_equations_of_some_parameters_are_those_without_the_others(rng: np.rando
     assert restricted.solve(20) == pytest.approx(alone.solve(20), rel=1e-6)
 
 
+def test_after_a_step_of_one_parameter_the_others_find_the_optimum_beside_it(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As dense equations do, in which the parameter has its new value."""
+    monkeypatch.setattr("wavesim.calibration.joint.gauss_newton_step.TOLERANCE", 0.0)
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    step, others = np.array([0.0, -0.7, 0.0, 0.0]), np.arange(PARAMETERS) != 1
+    found = step_of(columns, linear).after(step).restricted(others).solve(20)
+    linear.residual = linear.residual - step @ columns
+    prior = VARIANCE / TYPICAL[others] ** 2
+    both = np.hstack([linear.matrix, columns[others].T])
+    normal = both.T @ both
+    normal[OBJECT:, OBJECT:] += np.diag(prior + DAMPING * linear.misfit**2 / TYPICAL[others] ** 2)
+    right = both.T @ linear.residual
+    right[OBJECT:] -= prior * VALUES[others]
+    assert found == pytest.approx(np.linalg.solve(normal, right)[OBJECT:], rel=1e-5)
+
+
 class ComplexDense(Dense):
     """A linear model that is a matrix between complex samples and real amplitudes."""
 
