@@ -365,7 +365,8 @@ class _SearchRecord:
         trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
         current = self._start.changed(self.names, saved["here"].tolist())
         numbers = int(saved["stage"]), float(saved["stretch"])
-        return SearchState(current, *numbers, trail, int(saved.get("iterations", 0)))
+        scale = float(saved.get("scale_without_limit", 0.0))
+        return SearchState(current, *numbers, trail, int(saved.get("iterations", 0)), scale)
 
     def save(self, state: SearchState) -> None:
         """Save the state after a step."""
@@ -379,4 +380,5 @@ class _SearchRecord:
             stage=state.stage,
             stretch=state.stretch,
             iterations=state.iterations,
+            scale_without_limit=state.scale_without_limit,
         )

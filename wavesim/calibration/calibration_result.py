@@ -300,6 +300,7 @@ class _BenchUncertainty(FrozenModel):
     correlation_without_low_orders: Finite
     phase_waves: dict[str, Finite]
     amplitude: dict[str, Finite] = Field(default_factory=dict)
+    position_um: dict[str, Finite] = Field(default_factory=dict)
 
 
 def bench_uncertainty_of(path: str | os.PathLike[str]) -> BenchUncertainty | None:

@@ -8,15 +8,17 @@ the light that were not sought; they have the standard deviations that are expec
 
 Ramp and curvature of an object's phase are exchanged with light and mounting, and those of its amplitude
 with the unevenness of the light. The phase may be whole waves, so that these low orders are a factor of the
-object, :math:`\\exp(a + i \\phi)`, and not a small change.
+object, :math:`\\exp(a + i \\phi)`, and not a small change. Neither is the displacement of an object on a dark
+ground, which is exchanged with the decenter and may be many samples.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from lensdesign.common.arrays import Array
 from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.fields.field import Field
 from wavesim.metrics.contrast import object_correlation
+from wavesim.metrics.displacement import displaced_back, displacement_changes
 from wavesim.metrics.goodness_of_fit import BenchUncertainty
 from wavesim.metrics.low_orders import (
     LOW_ORDERS,
@@ -34,7 +37,6 @@ from wavesim.metrics.low_orders import (
     low_order_factor,
     low_order_polynomial,
 )
-from wavesim.reconstruction.object_response import following_change
 
 ComplexArray = NDArray[np.complexfloating]
 
@@ -59,44 +61,62 @@ class ObjectUncertainty:
     exponents : ndarray, shape (m, 6)
         Low orders (`LOW_ORDERS`) of the exponent of a factor that belongs to each change: real for an
         amplitude object, and imaginary for a phase object.
+    displacements : ndarray, shape (m, 2), optional
+        Displacement along x and y in samples that belongs to each change; default: none.
     """
 
     light: Field
     transmission: ComplexArray
     changes: ComplexArray
     exponents: ComplexArray
+    displacements: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     @cached_property
     def summary(self) -> BenchUncertainty:
-        """Correlations that these errors leave, and the low orders of phase and amplitude."""
-        with_all = self.least_correlation()
-        without = self.least_correlation(low_orders=False) if np.any(self.exponents) else with_all
-        waves = _deviations(self.exponents.imag / (2.0 * np.pi))
-        return BenchUncertainty(with_all, without, waves, _deviations(self.exponents.real))
+        """Correlations that these errors leave, and what they change in position, phase and amplitude.
 
-    def least_correlation(self, *, low_orders: bool = True) -> float:
-        """Return the correlation with the true object that 99 % of all such errors reach.
-
-        The bound then holds in 95 % of all cases together with that of the noise, which holds in 95 %, too.
-
-        Parameters
-        ----------
-        low_orders
-            Whether errors of low orders count; False: after their removal.
+        99 % of all such errors reach the correlations. The bound then holds in 95 % of all cases together
+        with that of the noise, which holds in 95 %, too.
         """
         random, draws, missed = np.random.default_rng(0), 300, 0.01
-        values = self.transmission
-        lit = self.light.with_values(self.light.values * values)
-        found = []
-        for _ in range(draws):
+        found = np.empty((draws, 2))
+        for draw in range(draws):
             sizes = random.standard_normal(len(self.changes)).astype(np.float32)
-            other = values + np.tensordot(sizes, self.changes, 1)
-            if low_orders and np.any(self.exponents):
-                other = other * low_order_factor(sizes @ self.exponents, values.shape)
-            found.append(
-                object_correlation(self.light.with_values(self.light.values * other), lit, self.light)
-            )
-        return float(np.nanquantile(found, missed)) if np.isfinite(found).any() else 1.0
+            other = self.transmission + np.tensordot(sizes, self.changes, 1)
+            found[draw] = self._correlation(other)
+            if np.any(self.exponents) or np.any(self.displacements):
+                found[draw, 0] = self._correlation(self._with_factors(other, sizes))
+        correlation, without = (
+            float(np.nanquantile(one, missed)) if np.isfinite(one).any() else 1.0 for one in found.T
+        )
+        return BenchUncertainty(
+            correlation,
+            without,
+            _deviations(self.exponents.imag / (2.0 * np.pi)),
+            _deviations(self.exponents.real),
+            self._position_um(),
+        )
+
+    def _position_um(self) -> Mapping[str, float]:
+        """Return the standard deviation of the position along each axis; empty on a clear ground."""
+        if not np.any(self.displacements):
+            return {}
+        deviations = 1e3 * self.light.grid.pitch_mm * np.sqrt(np.sum(self.displacements**2, axis=0))
+        return dict(zip("xy", deviations.tolist(), strict=True))
+
+    def _with_factors(self, values: ComplexArray, sizes: NDArray[np.floating]) -> ComplexArray:
+        """Return a transmission displaced, and multiplied by low orders, by errors of these sizes."""
+        if np.any(self.displacements):
+            values = values.astype(np.complex64)
+            x, y = (-sizes @ self.displacements).tolist()
+            displaced_back(values, (x, y))
+        return values * low_order_factor(sizes @ self.exponents, values.shape)
+
+    def _correlation(self, other: ComplexArray) -> float:
+        """Return the correlation of another transmission with the one found."""
+        light = self.light
+        lit = light.with_values(light.values * self.transmission)
+        return object_correlation(light.with_values(light.values * other), lit, light)
 
 
 def _deviations(orders: NDArray[np.floating]) -> Mapping[str, float]:
@@ -109,6 +129,7 @@ def _deviations(orders: NDArray[np.floating]) -> Mapping[str, float]:
 def object_uncertainty(
     equations: GaussNewtonStep,
     covariance: Array,
+    position: Array | None = None,
     absorbed: Sequence[ComplexArray] = (),
     progress: Callable[[int, int], None] = lambda completed, total: None,
 ) -> ObjectUncertainty:
@@ -120,6 +141,9 @@ def object_uncertainty(
         Normal equations at the estimates.
     covariance : ndarray, shape (n, n)
         Covariance of the estimates.
+    position : ndarray, shape (2,), optional
+        Standard deviations of the position of an object on a dark ground along x and y in samples, beside
+        those of the bench; None for an object on a clear ground.
     absorbed : sequence of ndarray, shape (ny, nx)
         Relative changes of the light of one standard deviation each, which the object takes over exactly.
     progress
@@ -131,13 +155,7 @@ def object_uncertainty(
     changes = []
     for index, direction in enumerate(directions):
         progress(index, len(directions))
-        column = (direction.astype(equations.columns.dtype) @ equations.columns).reshape(
-            linear.residual.shape
-        )
-        change, _ = following_change(linear, column, equations.free_samples, equations.kind, values)
-        for parameter, compensation in equations.compensations.items():
-            change = change + np.float32(direction[parameter]) * compensation
-        changes.append(change)
+        changes.append(equations.followed_by_object(direction))
     exponents = np.zeros((len(changes), len(LOW_ORDERS)), complex)
     power, even = np.abs(light.values) ** 2, np.ones(values.shape)
     for index, change in enumerate(changes):
@@ -146,13 +164,45 @@ def object_uncertainty(
         changes[index] = change - (low_orders if np.iscomplexobj(values) else low_orders.real).astype(
             change.dtype
         )
+    displacements = np.zeros((len(changes), 2))
+    if position is not None:
+        along = displacement_changes(values)
+        changes += [np.float32(samples) * change for samples, change in zip(position, along, strict=True)]
+        exponents = np.vstack([exponents, np.zeros((2, len(LOW_ORDERS)))])
+        displacements, changes = _displacements(changes, along, power)
     if equations.kind != "amplitude":
         of_light = [low_order_coefficients(-change, even, power) for change in absorbed]
         exponents = np.vstack([exponents, *of_light])
+        displacements = np.vstack([displacements, np.zeros((len(of_light), 2))])
         changes += [np.zeros_like(values) for _ in absorbed]
     if equations.kind == "phase":
         exponents.real = 0.0
-    return ObjectUncertainty(light, values, np.stack(changes), exponents)
+    return ObjectUncertainty(light, values, np.stack(changes), exponents, displacements)
+
+
+def _displacements(
+    changes: Sequence[NDArray[Any]], along: NDArray[Any], power: NDArray[np.floating]
+) -> tuple[Array, list[NDArray[Any]]]:
+    """Return the displacements in samples that changes contain, shape (m, 2), and what else they are.
+
+    Parameters
+    ----------
+    changes
+        Changes of an amplitude object.
+    along : ndarray, shape (2, ny, nx)
+        Changes of the object per sample of displacement along x and y.
+    power : ndarray, shape (ny, nx)
+        Weight of each sample.
+    """
+    rows = along.reshape(2, -1)
+    weighted = rows * power.ravel()
+    products = np.array([weighted @ change.ravel() for change in changes])
+    found = products @ np.linalg.pinv(weighted @ rows.T, hermitian=True)
+    left = [
+        change - np.tensordot(one.astype(np.float32), along, 1)
+        for one, change in zip(found, changes, strict=True)
+    ]
+    return found, left
 
 
 def _directions(equations: GaussNewtonStep, covariance: Array) -> Array:
@@ -169,6 +219,9 @@ def _directions(equations: GaussNewtonStep, covariance: Array) -> Array:
     for index, change in equations.compensations.items():
         for other, change_of_other in equations.compensations.items():
             effects[index, other] += float(np.sum(lit * change * change_of_other)) / energy
+    along = equations.displacements
+    products = np.array([[np.sum(lit * (one.conj() * other).real) for other in along] for one in along])
+    effects += equations.following @ products.reshape(len(along), len(along)) @ equations.following.T / energy
     sizes, turns = np.linalg.eigh(roots.T @ effects @ roots)
     order = np.argsort(sizes)[::-1]
     left = 1.0 - np.cumsum(sizes[order]) / np.sum(sizes)

@@ -1,4 +1,4 @@
-"""Measure and remove the displacement between two transmissions, to a fraction of a sample."""
+"""Displacements of a transmission: measured and removed, to a fraction of a sample, and their derivative."""
 
 from __future__ import annotations
 
@@ -59,6 +59,39 @@ def displaced_back(values: Complex, displacement: tuple[float, float]) -> None:
         lines = values if axis == 1 else values.T
         for block in row_blocks(len(lines)):
             lines[block] = scipy.fft.ifft(scipy.fft.fft(lines[block], axis=1) * ramp, axis=1)
+
+
+def displacement_changes(values: NDArray[Any], orders: int = 1) -> NDArray[Any]:
+    """Return the change of a transmission per sample of displacement along x, and along y.
+
+    The transmission goes on beyond its samples as in a mirror. The changes are derivatives of its cosine
+    series, so that no detail within the band of the samples is weakened.
+
+    Parameters
+    ----------
+    values : ndarray, shape (ny, nx)
+        Real or complex transmission.
+    orders
+        Number of orders: the second has the Laplacians of the displacements, the third those of the second.
+
+    Returns
+    -------
+    ndarray, shape (2 * orders, ny, nx)
+        Changes for x and y, order by order.
+    """
+    angles = [(math.pi / n * np.arange(n)).astype(values.real.dtype) for n in values.shape]
+    series = scipy.fft.dctn(values)
+    laplacian = -(angles[0][:, None] ** 2 + angles[1] ** 2)
+    changes = []
+    for order in range(orders):
+        for axis in (1, 0):
+            # A sine series has no constant term: its coefficients begin with the second one.
+            sines = np.roll(series * (angles[1] if axis == 1 else angles[0][:, None]), -1, axis=axis)
+            np.moveaxis(sines, axis, 0)[-1] = 0.0
+            changes.append(scipy.fft.idst(scipy.fft.idct(sines, axis=1 - axis), axis=axis))
+        if order + 1 < orders:
+            series = series * laplacian
+    return np.stack(changes)
 
 
 def inside_both(inside: NDArray[np.bool_], displacement: tuple[float, float]) -> NDArray[np.bool_]:

@@ -103,22 +103,26 @@ class BenchUncertainty:
     correlation : float
         Correlation that 99 % of all benches within the uncertainty reach.
     correlation_without_low_orders : float
-        The same after the low orders of the object are fitted.
+        The same after position and low orders of the object are fitted.
     phase_waves : mapping
         Standard deviation in waves of each low order of the phase of a complex or phase object, by name;
         empty for an amplitude object.
     amplitude : mapping
         Relative standard deviation of each low order of the amplitude, by name; empty for a phase object.
+    position_um : mapping
+        Standard deviation in um of the position of an object on a dark ground, along "x" and "y"; empty for
+        an object on a clear ground.
     """
 
     correlation: float
     correlation_without_low_orders: float
     phase_waves: Mapping[str, float]
     amplitude: Mapping[str, float] = field(default_factory=dict)
+    position_um: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def words(self) -> str:
-        """The low orders that are not determined, in words; empty where all are."""
+        """Position and low orders that are not determined, in words; empty where all are."""
         # Standard deviations from which an order counts as not determined, in waves and relative.
         least_waves, least_amplitude = 0.01, 0.02
         kinds = (
@@ -126,6 +130,9 @@ class BenchUncertainty:
             ("amplitude, which uneven light changes alike (relative)", self.amplitude, least_amplitude),
         )
         sentences = []
+        if self.position_um:
+            parts = ", ".join(f"{axis} ±{size:.2g} µm" for axis, size in self.position_um.items())
+            sentences.append(f"position of the object, which decenter and light change alike: {parts}")
         for what, orders, least in kinds:
             parts = ", ".join(f"{name} ±{size:.2g}" for name, size in orders.items() if size >= least)
             if parts:
@@ -134,7 +141,9 @@ class BenchUncertainty:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return vars(self) | {"phase_waves": dict(self.phase_waves), "amplitude": dict(self.amplitude)}
+        mappings = {"phase_waves": self.phase_waves, "amplitude": self.amplitude}
+        mappings["position_um"] = self.position_um
+        return vars(self) | {name: dict(sizes) for name, sizes in mappings.items()}
 
 
 @dataclass(frozen=True)
@@ -315,7 +324,7 @@ class GoodnessOfFit:
             return words
         words += f". With the noise, the correlation with the true object is {least:.3f} or more (95 %, "
         words += "without assuming any structure)"
-        return f"{words}, and {without:.3f} or more without these orders" if open_orders else words
+        return f"{words}, and {without:.3f} or more without these" if open_orders else words
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; `told` is the key of evidence and explanations in files."""

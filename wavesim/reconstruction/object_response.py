@@ -10,7 +10,7 @@ this estimate are
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ def free_samples(
     values: NDArray[Any],
     gradient: NDArray[Any] | None = None,
     *,
-    upper_bound: float = 1.0,
+    bounds: tuple[float, float] = (0.0, 1.0),
 ) -> NDArray[np.bool_]:
     """Return lit samples of the object that are not at a bound of an amplitude object.
 
@@ -39,14 +39,15 @@ def free_samples(
         Transmission of the object, real for an amplitude object.
     gradient
         Change of the object that reduces the residuals; default: from those of the linear model.
-    upper_bound
-        Largest transmission that is possible; the smallest is 0.
+    bounds
+        Smallest and largest transmission that an amplitude object can have.
     """
     lit = linear.model.lit
     if np.iscomplexobj(values):
         return lit
     change = (linear.adjoint_to_object(linear.residual) if gradient is None else gradient).real
-    is_at_bound = ((values <= 0.0) & (change < 0.0)) | ((values >= upper_bound) & (change > 0.0))
+    lowest, highest = bounds
+    is_at_bound = ((values <= lowest) & (change < 0.0)) | ((values >= highest) & (change > 0.0))
     return np.asarray(lit & ~is_at_bound)
 
 
@@ -70,8 +71,16 @@ def possible_change(kind: Kind, values: NDArray[Any], change: NDArray[Any]) -> N
     return change
 
 
+class ObjectJacobian(Protocol):
+    """Changes of the modelled amplitudes for changes of the object, and the adjoint."""
+
+    def jacobian_times_object(self, change: NDArray[Any]) -> RealArray: ...
+
+    def adjoint_to_object(self, left: RealArray) -> NDArray[Any]: ...
+
+
 def following_change(
-    linear: LinearModel,
+    linear: ObjectJacobian,
     column: RealArray,
     is_free: NDArray[np.bool_],
     kind: Kind,

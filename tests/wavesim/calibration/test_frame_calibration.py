@@ -21,6 +21,9 @@ from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
+from wavesim.metrics.contrast import object_correlation
+from wavesim.metrics.displacement import displacement_samples
+from wavesim.metrics.low_orders import low_order_coefficients, low_order_polynomial
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.source_search import FoundSource, SourceWarning
@@ -212,7 +215,49 @@ def test_a_grey_object_leaves_the_unevenness_of_the_light_open() -> None:
     # Five modes of the light, whose expected deviations are 0.1, change the object.
     assert all(0.07 < deviation < 0.13 for deviation in left.amplitude.values()), left.amplitude
     assert "amplitude, which uneven light changes alike" in left.words
-    assert left.correlation < 0.99 < left.correlation_without_low_orders
+    # The object found differs from the true one by more than its low orders, as the second bound allows.
+    light, transmission = (getattr(found.object_uncertainty, name) for name in ("light", "transmission"))
+    orders = low_order_coefficients(transmission.astype(complex), grey, np.abs(light.values) ** 2)
+    adapted = low_order_polynomial(orders, grey.shape) * grey
+    one, other = (light.with_values(light.values * values) for values in (transmission, adapted))
+    assert left.correlation + 0.005 < left.correlation_without_low_orders
+    assert left.correlation_without_low_orders < object_correlation(one, other, light) < 0.9999
+
+
+def test_an_object_on_a_dark_ground_is_found_where_it_is(lens: Lens) -> None:
+    """Only the aberrations of the lens tell where it is; decenter and light tilt follow its displacement."""
+    side_mm = 0.05
+    patch = object_patch(lens, side_mm)
+    y, x = 2.0 * patch.grid.y_mm[:, None] / side_mm, 2.0 * patch.grid.x_mm / side_mm
+    stem = (np.abs(x + 0.25) < 0.1) & (np.abs(y) < 0.6)
+    bars = [(np.abs(y - at) < 0.1) & (x > -0.35) & (x < end) for at, end in ((0.5, 0.45), (0.0, 0.25))]
+    letter = (stem | bars[0] | bars[1]) * (0.9 + 0.1 * np.sin(9.0 * x + 4.0 * y))
+    thing = Field(patch.grid, letter.astype(np.complex64), patch.wavelength_um)
+    truth = {
+        "light_tilt_x_deg": -0.2,
+        "light_tilt_y_deg": 0.15,
+        "decenter_x_mm": 4e-4,
+        "decenter_y_mm": -3e-4,
+    }
+    bench = SystemState(light=LightErrors((-0.2, 0.15)), pose=Pose(decenter_x_mm=4e-4, decenter_y_mm=-3e-4))
+    options = {"engine": "eikonal", "error": 0.1, "exposures": (1.0, 30.0)}
+    frames = image(lens, thing, field_stop_mm=side_mm, seed=1, state=bench, **options).frames
+    sought = ",".join([*truth, "plane_2_shift_x_um", "plane_2_shift_y_um"])
+    settings = {"kind": "amplitude", "error": 0.1, "parameters": sought}
+    found = calibrate_frames(lens, frames, assess=False, patch_mm=side_mm, **settings)
+    for name, value, deviation in zip(found.parameters, found.values, found.deviations, strict=True):
+        assert abs(value - truth.get(name, 0.0)) < 3.0 * deviation, name
+    assert found.object_uncertainty is not None
+    moved = displacement_samples(
+        found.object_uncertainty.transmission.astype(complex), thing.values, np.ones(thing.values.shape, bool)
+    )
+    assert moved is not None
+    left = found.object_uncertainty.summary
+    moved_um = 1e3 * patch.grid.pitch_mm * np.array(moved)
+    assert np.all(np.abs(moved_um) < 0.1)
+    assert 0.1 < left.position_um["x"] < 3.0
+    assert "position of the object" in left.words
+    assert left.correlation < 0.9 < left.correlation_without_low_orders
 
 
 @pytest.mark.parametrize("kind", ["amplitude", "complex"])

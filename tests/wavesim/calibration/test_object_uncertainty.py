@@ -42,3 +42,18 @@ def test_the_bound_is_that_of_a_rare_size_of_a_single_error() -> None:
     assert found.summary.correlation == pytest.approx(expected, abs=0.03)
     assert not found.summary.phase_waves
     assert not found.summary.words
+
+
+def test_a_displacement_is_stated_and_counts_in_one_bound() -> None:
+    """Displaced by some samples, a random object has nothing in common with itself."""
+    random = np.random.default_rng(0)
+    values = random.uniform(0.0, 1.0, GRID.shape).astype(np.complex64)
+    displacements = np.array([[3.0, 0.0], [0.0, 2.0]])
+    exponents = np.zeros((2, len(LOW_ORDERS)), complex)
+    found = ObjectUncertainty(LIGHT, values, np.zeros((2, *GRID.shape)), exponents, displacements).summary
+    assert found.position_um == pytest.approx({"x": 3.0, "y": 2.0})  # samples of 1 um
+    assert "position of the object" in found.words
+    assert "x ±3 µm, y ±2 µm" in found.words
+    assert found.correlation < 0.2
+    assert found.correlation_without_low_orders == pytest.approx(1.0, abs=1e-6)
+    assert found.as_dict()["position_um"] == pytest.approx({"x": 3.0, "y": 2.0})

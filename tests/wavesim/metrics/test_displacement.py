@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from lensdesign import load_design, scaled
 from wavesim.fields.field import Field
-from wavesim.metrics.displacement import displaced_back, displacement_samples
+from wavesim.metrics.displacement import displaced_back, displacement_changes, displacement_samples
 from wavesim.metrics.result_quality import truth_metrics
 from wavesim.runtime.scratch import Scratch
 from wavesim.sensor.windows import exit_scene
@@ -91,3 +91,21 @@ def test_the_middle_of_a_large_field_tells() -> None:
     moved = scipy.fft.ifft2(spectrum * down[:, None] * across)
     found = displacement_samples(moved, true, np.ones(true.shape, bool))
     assert found == pytest.approx((3.2, -2.6), abs=0.03)
+
+
+def test_changes_with_displacement_are_derivatives_and_their_laplacians() -> None:
+    """Those of a Gaussian, in closed form, and of a cosine that meets the edge as in a mirror."""
+    y, x = np.mgrid[:40, :50]
+    width, dy, dx = 3.0, y - 18.0, x - 26.0
+    spot = np.exp(-(dx**2 + dy**2) / (2.0 * width**2))
+    along_x, along_y, second_x, second_y = displacement_changes(spot, orders=2)
+    assert along_x == pytest.approx(dx / width**2 * spot, abs=1e-6)
+    assert along_y == pytest.approx(dy / width**2 * spot, abs=1e-6)
+    factor = (dx**2 + dy**2 - 4.0 * width**2) / width**4
+    assert second_x == pytest.approx(factor * along_x, abs=1e-6)
+    assert second_y == pytest.approx(factor * along_y, abs=1e-6)
+    angle = np.pi * 3.0 / 50.0
+    wave = np.broadcast_to(np.cos(angle * (np.arange(50) + 0.5)), (40, 50)) * (1.0 - 2.0j)
+    along_x, along_y = displacement_changes(wave)
+    assert along_x[7] == pytest.approx(angle * np.sin(angle * (np.arange(50) + 0.5)) * (1.0 - 2.0j), abs=1e-9)
+    assert along_y == pytest.approx(np.zeros((40, 50)), abs=1e-9)

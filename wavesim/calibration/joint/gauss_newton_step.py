@@ -2,14 +2,20 @@
 
 The object compensates a large part of the effect of a change of the bench. The step of the bench therefore
 follows from the normal equations of both, which conjugate gradients solve. Samples of an amplitude object
-that are at a bound (0 or 1), and would move beyond it, stay fixed. Samples of a phase object move along the
+that are at its limit, and would move beyond it, stay fixed. Samples of a phase object move along the
 unit circle.
+
+On a dark ground, hardly anything but the lens's aberrations tells where the object is. An object that is
+displaced compensates decenter and tilt of the light, and its Laplacian's displacement their coma. Conjugate
+gradients need hundreds of iterations to find such changes, and samples that are fixed at 0 forbid them. These
+changes are therefore eliminated exactly, and samples at 0 are free.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -20,7 +26,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.forward.linear_model import LinearModel, RealArray
-from wavesim.reconstruction.object_response import free_samples, possible_change
+from wavesim.reconstruction.object_response import following_change, free_samples, possible_change
 from wavesim.runtime.threads import at_once
 from wavesim.scene.settings import Kind
 
@@ -74,6 +80,14 @@ class GaussNewtonStep:
         Residuals; default: those of the linear model.
     upper_bound
         Largest transmission that an amplitude object can have.
+    displacements : sequence of ndarray, shape (ny, nx), optional
+        Changes of a whole amplitude object that are eliminated exactly
+        (:func:`wavesim.metrics.displacement.displacement_changes`).
+
+    Attributes
+    ----------
+    following : ndarray, shape (parameters, k)
+        Multiple of each of them with which the object follows a unit of each parameter.
     """
 
     def __init__(
@@ -89,25 +103,78 @@ class GaussNewtonStep:
         compensations: Mapping[int, NDArray[Any]] = MappingProxyType({}),
         residual: RealArray | None = None,
         upper_bound: float = 1.0,
+        displacements: Sequence[NDArray[Any]] | NDArray[Any] = (),
     ) -> None:
         self.linear, self.kind, self.transmission = linear, kind, transmission
+        self.displacements = displacements
+        self._displaced, self._from_displaced = self._effects_of_displacements()
         residual = linear.without_scale(linear.residual if residual is None else residual)
+        residual, _ = self._without_displacements(residual)
         descent = self._object_part(linear.adjoint_to_object(residual))
-        is_free = free_samples(linear, transmission, descent, upper_bound=upper_bound)
+        bounds = -math.inf, upper_bound
+        is_free = free_samples(linear, transmission, descent, bounds=bounds)
         self.free_samples = is_free & object_is_free
         self.object_descent = descent * self.free_samples
         self.columns = columns.reshape(len(columns), -1)
         self.compensations = {index: change * self.free_samples for index, change in compensations.items()}
-        if self.compensations:
+        if self.compensations or len(displacements):
             self.columns = self.columns.copy()
         for index, change in self.compensations.items():
             self.columns[index] += linear.jacobian_times_object(change).ravel()
+        self.following = np.zeros((len(columns), len(displacements)))
+        for index, column in enumerate(self.columns if len(displacements) else ()):
+            column[:], self.following[index] = self._without_displacements(column)
         self.variance, self.prior_precision = variance, variance / typical**2
         self.descent: Array = (
             np.asarray(self.columns @ residual.ravel(), float) - self.prior_precision * values
         )
         self.damping = DAMPING * linear.misfit**2 / typical**2
         self.hessian = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.prior_precision)
+
+    def steps_with_displacements(self, follows: NDArray[np.bool_]) -> Array:
+        """Return the steps of the parameters with which the bench follows displacements of the object.
+
+        Parameters
+        ----------
+        follows : ndarray of bool, shape (parameters,)
+            Whether a parameter follows; the others keep their values.
+
+        Returns
+        -------
+        ndarray, shape (k, parameters)
+            Step per unit of each displacement, at which the frames change least.
+        """
+        effects = np.linalg.pinv(self._from_displaced)  # of displacements, by their orthonormal basis
+        shares = -self.following @ effects
+        hessian = (self.hessian + shares @ shares.T)[np.ix_(follows, follows)]
+        steps = np.zeros((len(effects), len(follows)))
+        steps[:, follows] = -np.linalg.solve(hessian, shares[follows] @ effects.T).T
+        return steps
+
+    def followed_by_object(self, direction: Array) -> NDArray[Any]:
+        """Return the change of the transmission with which the object follows a change of the parameters.
+
+        Parameters
+        ----------
+        direction : ndarray, shape (parameters,)
+            Change of the parameters.
+        """
+        column = (direction.astype(self.columns.dtype) @ self.columns).reshape(self.linear.residual.shape)
+        change, _ = following_change(self, column, self.free_samples, self.kind, self.transmission)
+        _, undone = self._without_displacements(self.linear.jacobian_times_object(change))
+        for multiple, one in zip(direction @ self.following + undone, self.displacements, strict=True):
+            change = change + np.float32(multiple) * one
+        for parameter, compensation in self.compensations.items():
+            change = change + np.float32(direction[parameter]) * compensation
+        return change
+
+    def jacobian_times_object(self, change: NDArray[Any]) -> RealArray:
+        """Return the change of the amplitudes for a change of the object, which is displaced as fits best."""
+        return self._without_displacements(self.linear.jacobian_times_object(change))[0]
+
+    def adjoint_to_object(self, left: RealArray) -> NDArray[Any]:
+        """Return the adjoint of `jacobian_times_object` for changes that no displacement makes."""
+        return self.linear.adjoint_to_object(left)
 
     def restricted(self, chosen: NDArray[np.bool_]) -> GaussNewtonStep:
         """Return the equations for some of the parameters; the others keep their values.
@@ -122,7 +189,7 @@ class GaussNewtonStep:
         result = copy.copy(self)
         result.columns, result.hessian = self.columns[chosen], self.hessian[np.ix_(chosen, chosen)]
         result.prior_precision, result.damping = self.prior_precision[chosen], self.damping[chosen]
-        result.descent = self.descent[chosen]
+        result.descent, result.following = self.descent[chosen], self.following[chosen]
         return result
 
     def after(self, step: Array) -> GaussNewtonStep:
@@ -137,7 +204,7 @@ class GaussNewtonStep:
     def solve(self, iterations: int) -> Array:
         """Return the step of the bench parameters, shape (parameters,)."""
         descent = self.object_descent
-        effect = self.linear.jacobian_times_object(descent)
+        effect = self.jacobian_times_object(descent)
         energy = float(np.vdot(descent, descent).real)
         object_curvature = float(np.vdot(effect, effect)) / energy if energy > 0.0 else 1.0
         bench_inverse = np.linalg.inv(self.hessian + np.diag(self.damping))
@@ -220,7 +287,7 @@ class GaussNewtonStep:
     def _make_compensation(self, effect: RealArray) -> None:
         """Replace a change of the amplitudes by that of the object which the misfit's gradient proposes."""
         gradient = self._object_part(self.linear.adjoint_to_object(effect)) * self.free_samples
-        effect[:] = self.linear.jacobian_times_object(gradient)
+        effect[:] = self.jacobian_times_object(gradient)
 
     def _precision(self, columns: RealArray) -> Array:
         """Return the precision that columns give to the parameters, in units of that of their priors."""
@@ -241,13 +308,40 @@ class GaussNewtonStep:
         bench_changes = (bench_direction.astype(self.columns.dtype) @ self.columns).reshape(
             self.linear.residual.shape
         )
-        changes = self.linear.jacobian_times_object(direction) + bench_changes
+        changes = self.jacobian_times_object(direction) + bench_changes
         product = self._object_part(self.linear.adjoint_to_object(changes)) * self.free_samples
         bench_product = (
             np.asarray(self.columns @ changes.ravel(), float)
             + (self.prior_precision + self.damping) * bench_direction
         )
         return product, bench_product
+
+    def _effects_of_displacements(self) -> tuple[RealArray, Array]:
+        """Return orthonormal effects of displacements, and the multiples for each, shape (effects, k)."""
+        count, size = len(self.displacements), self.linear.residual.size
+        if count == 0:
+            return np.zeros((0, size), self.linear.residual.dtype), np.zeros((0, 0))
+        effects = np.stack([self.linear.jacobian_times_object(one).ravel() for one in self.displacements])
+        # Size of a displacement over that of the object below which it is rounding, as of an even object, and
+        # relative square below which a combination of unit effects is.
+        least_size, rounding = 1e-4 * np.linalg.norm(self.transmission), 1e-5
+        lengths = np.linalg.norm(effects, axis=1).astype(float)
+        is_large = np.array([np.linalg.norm(one) > least_size for one in self.displacements]) & (
+            lengths > 0.0
+        )
+        scales = np.where(is_large, 1.0 / np.where(is_large, lengths, 1.0), 0.0)
+        powers, mixtures = np.linalg.eigh(_products(effects, effects) * np.outer(scales, scales))
+        is_kept = powers > rounding * max(float(powers[-1]), rounding)
+        factors = (mixtures[:, is_kept] / np.sqrt(powers[is_kept])).T * scales
+        return _combined(effects, factors), factors
+
+    def _without_displacements(self, change: RealArray) -> tuple[RealArray, Array]:
+        """Return a change of the amplitudes without what displacements undo, and their multiples."""
+        if not len(self.displacements):
+            return change, np.zeros(0)
+        shares = _products(self._displaced, change.reshape(1, -1))[:, 0]
+        left = change - _combined(self._displaced, shares).reshape(change.shape)
+        return left, -shares @ self._from_displaced
 
     def _object_part(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the part of a change that an object of this kind can make."""

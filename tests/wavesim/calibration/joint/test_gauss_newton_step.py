@@ -195,6 +195,67 @@ def test_after_a_step_of_one_parameter_the_others_find_the_optimum_beside_it(
     assert found == pytest.approx(np.linalg.solve(normal, right)[OBJECT:], rel=1e-5)
 
 
+def displaced_problem(rng: np.random.Generator) -> tuple[Dense, NDArray[Any], NDArray[Any]]:
+    """A linear model, columns, and two displacements that undo a part of them."""
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    displacements = rng.standard_normal((2, OBJECT))
+    columns[:2] += 3.0 * displacements @ linear.matrix.T
+    return linear, columns, displacements
+
+
+def test_displacements_are_eliminated_at_once_even_of_samples_at_a_bound(rng: np.random.Generator) -> None:
+    """An object that cannot move otherwise takes what its displacements undo, and nothing else."""
+    linear, columns, displacements = displaced_problem(rng)
+    joint = step_of(columns, linear, lit=False, displacements=displacements)
+    basis = np.linalg.qr(linear.matrix @ displacements.T)[0]
+    assert joint.reduced_columns(0) == pytest.approx(columns - columns @ basis @ basis.T)
+    effects = displacements @ linear.matrix.T
+    assert columns + joint.following @ effects == pytest.approx(joint.columns)
+    direction = np.array([1.0, -2.0, 0.5, 0.0])
+    assert joint.followed_by_object(direction) == pytest.approx(direction @ joint.following @ displacements)
+
+
+def test_the_step_of_bench_and_object_is_the_same_with_displacements(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wavesim.calibration.joint.gauss_newton_step.TOLERANCE", 0.0)
+    linear, columns, displacements = displaced_problem(rng)
+    plain = step_of(columns, linear).solve(30)
+    assert step_of(columns, linear, displacements=displacements).solve(30) == pytest.approx(plain, rel=1e-5)
+
+
+def test_the_bench_follows_a_displacement_by_the_step_that_changes_the_frames_least(
+    rng: np.random.Generator,
+) -> None:
+    linear, columns, displacements = displaced_problem(rng)
+    follows = np.array([True, True, False, True])
+    steps = step_of(columns, linear, displacements=displacements).steps_with_displacements(follows)
+    chosen, prior = columns[follows], np.diag(VARIANCE / TYPICAL[follows] ** 2)
+    effects = displacements @ linear.matrix.T
+    exact = -np.linalg.solve(chosen @ chosen.T + prior, chosen @ effects.T).T
+    assert steps[:, follows] == pytest.approx(exact)
+    assert not steps[:, ~follows].any()
+
+
+def test_an_even_object_has_no_displacement(rng: np.random.Generator) -> None:
+    """Rounding of its derivatives is no change that the object can make."""
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    rounding = 1e-6 * rng.standard_normal((2, OBJECT))
+    joint = step_of(columns, linear, displacements=rounding)
+    assert joint.columns == pytest.approx(columns)
+    assert not joint.following.any()
+    assert not joint.steps_with_displacements(np.ones(PARAMETERS, bool)).any()
+
+
+def test_displacements_of_unlike_sizes_are_all_eliminated(rng: np.random.Generator) -> None:
+    """Laplacians are far larger than displacements, or far smaller."""
+    linear, columns, displacements = displaced_problem(rng)
+    sizes = np.array([[1.0], [3e3]])
+    alike, unlike = (step_of(columns, linear, displacements=one * displacements) for one in (1.0, sizes))
+    assert unlike.columns == pytest.approx(alike.columns)
+    assert unlike.following * sizes.T == pytest.approx(alike.following)
+
+
 class ComplexDense(Dense):
     """A linear model that is a matrix between complex samples and real amplitudes."""
 

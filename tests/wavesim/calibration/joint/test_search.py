@@ -109,10 +109,9 @@ def test_what_explains_errors_of_the_model_by_chance_is_not_needed(
         return SimpleNamespace(misfit=misfit, unknowns=unknowns, transmission=start)
 
     monkeypatch.setattr(JointSearch, "_converged_fit_or_none", fit)
+    monkeypatch.setattr("wavesim.calibration.joint.search.EQUAL_RATIO", 1.0)
     best = SimpleNamespace(misfit=lowest, unknowns=Unknowns(lens), transmission=None)
-    _, needed = replace(search, noise_misfit=noise_misfit)._with_fewer(
-        best, estimates, np.eye(count), tolerated_ratio=1.0
-    )
+    _, needed = replace(search, noise_misfit=noise_misfit)._with_fewer(best, estimates, np.eye(count))
     assert needed.tolist() == [True, True, *[eliminated == 0] * (count - 2)]
 
 
@@ -195,6 +194,35 @@ def test_iterations_are_doubled_until_the_object_has_settled(search: JointSearch
     assert found.object_uncertainty is not None
     again = few.run(states[-1])
     assert again.trail[len(states[-1].trail)][1] == pytest.approx(found.trail[-1][1], rel=0.05)
+
+
+def test_a_search_without_a_limit_is_resumed_without_one(
+    search: JointSearch, lens: Lens, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parameters = chosen_parameters("plane_2_shift_x_um", bench_parameters(lens, 2, 0.06, 0.532))
+    states: list[SearchState] = []
+    limited = replace(search, parameters=parameters, iterations=4, keep=states.append)
+    scale = 1.2 * limited._fit_bench(Unknowns(lens)).linear.model.scale
+    monkeypatch.setattr(
+        JointSearch, "_scale_without_limit", lambda self, first: 0.0 if self.scale_without_limit else scale
+    )
+    start = SearchState(Unknowns(lens, values=TRUE | {"plane_2_shift_x_um": 0.0}))
+    found = limited.run(start)
+    assert {state.scale_without_limit for state in states} == {scale}
+    last = states[-1]
+    again = limited.run(last)
+    before = len(last.trail)
+    assert again.trail[:before] == last.trail
+    assert found.unknowns.values["plane_2_shift_x_um"] == pytest.approx(1.5, abs=0.05)
+    iterations = max(limited.iterations, last.iterations)
+    with_limit, without = (
+        replace(one, iterations=iterations)._fit_bench(last.unknowns)
+        for one in (limited, replace(limited, scale_without_limit=scale))
+    )
+    assert with_limit.upper_bound == 1.0
+    assert np.isinf(without.upper_bound)
+    assert again.trail[before][1] == pytest.approx(without.misfit, rel=1e-5)
+    assert abs(with_limit.misfit - without.misfit) > 1e-4 * without.misfit
 
 
 def test_what_is_right_already_is_not_sought_first(search: JointSearch, lens: Lens) -> None:
