@@ -60,13 +60,16 @@ def test_a_stop_that_was_sought_is_as_certain_as_its_deviation(deviation_mm: flo
 def test_what_a_bench_leaves_of_the_object_is_read_from_its_file(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     stated = {"correlation": 0.4, "correlation_without_low_orders": 0.98, "phase_waves": {"ramp x": 0.3}}
-    stated |= {"amplitude": {"curvature y": 0.1}}
+    stated |= {"amplitude": {"curvature y": 0.1}, "position_um": {"x": 1.5, "y": 0.25}}
     path.write_text(json.dumps({"object_uncertainty": stated}))
     found = bench_uncertainty_of(path)
     assert found is not None
     assert vars(found) == stated
     assert "phase, which light and mounting change alike (waves): ramp x ±0.3" in found.words
     assert "amplitude, which uneven light changes alike (relative): curvature y ±0.1" in found.words
+    assert (
+        "position of the object, which decenter and light change alike: x ±1.5 µm, y ±0.25 µm" in found.words
+    )
     path.write_text(json.dumps({}))
     assert bench_uncertainty_of(path) is None
 
