@@ -21,9 +21,7 @@ from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.metrics.contrast import object_correlation
 from wavesim.metrics.displacement import displacement_samples
-from wavesim.metrics.low_orders import low_order_coefficients, low_order_polynomial
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.source_search import FoundSource, SourceWarning
@@ -215,13 +213,7 @@ def test_a_grey_object_leaves_the_unevenness_of_the_light_open() -> None:
     # Five modes of the light, whose expected deviations are 0.1, change the object.
     assert all(0.07 < deviation < 0.13 for deviation in left.amplitude.values()), left.amplitude
     assert "amplitude, which uneven light changes alike" in left.words
-    # The object found differs from the true one by more than its low orders, as the second bound allows.
-    light, transmission = (getattr(found.object_uncertainty, name) for name in ("light", "transmission"))
-    orders = low_order_coefficients(transmission.astype(complex), grey, np.abs(light.values) ** 2)
-    adapted = low_order_polynomial(orders, grey.shape) * grey
-    one, other = (light.with_values(light.values * values) for values in (transmission, adapted))
-    assert left.correlation + 0.005 < left.correlation_without_low_orders
-    assert left.correlation_without_low_orders < object_correlation(one, other, light) < 0.9999
+    assert left.correlation < 0.99 < left.correlation_without_low_orders
 
 
 def test_an_object_on_a_dark_ground_is_found_where_it_is(lens: Lens) -> None:

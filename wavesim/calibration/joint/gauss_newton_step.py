@@ -2,7 +2,7 @@
 
 The object compensates a large part of the effect of a change of the bench. The step of the bench therefore
 follows from the normal equations of both, which conjugate gradients solve. Samples of an amplitude object
-that are at its limit, and would move beyond it, stay fixed. Samples of a phase object move along the
+that are at a bound (0 or 1), and would move beyond it, stay fixed. Samples of a phase object move along the
 unit circle.
 
 On a dark ground, hardly anything but the lens's aberrations tells where the object is. An object that is
@@ -81,7 +81,7 @@ class GaussNewtonStep:
     upper_bound
         Largest transmission that an amplitude object can have.
     displacements : sequence of ndarray, shape (ny, nx), optional
-        Changes of a whole amplitude object that are eliminated exactly
+        Changes of a whole amplitude object on a dark ground that are eliminated exactly
         (:func:`wavesim.metrics.displacement.displacement_changes`).
 
     Attributes
@@ -111,7 +111,7 @@ class GaussNewtonStep:
         residual = linear.without_scale(linear.residual if residual is None else residual)
         residual, _ = self._without_displacements(residual)
         descent = self._object_part(linear.adjoint_to_object(residual))
-        bounds = -math.inf, upper_bound
+        bounds = -math.inf if len(displacements) else 0.0, upper_bound
         is_free = free_samples(linear, transmission, descent, bounds=bounds)
         self.free_samples = is_free & object_is_free
         self.object_descent = descent * self.free_samples

@@ -94,8 +94,8 @@ FOLLOWING = "light_tilt", "_shift_", "decenter"
 """Parts of the names of parameters that follow a displaced object."""
 
 DISPLACEMENT_ORDERS = 3
-"""Orders of the object's displacement that are eliminated exactly. On a dark ground, decenter and light tilt
-have converged after 30 iterations with three, and after 100 with one.
+"""Orders of the displacement of an object on a dark ground that are eliminated exactly. Decenter and light
+tilt have converged after 30 iterations with three, and after 100 with one.
 """
 
 NEAR_NOISE = 1.5
@@ -768,7 +768,7 @@ class JointSearch:
         values = fit.unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
         object_is_free = self.known is None
-        is_amplitude = object_is_free and self.kind == "amplitude"
+        is_on_dark_ground = self._is_on_dark_ground(fit)
         return GaussNewtonStep(
             fit.linear,
             columns,
@@ -781,7 +781,7 @@ class JointSearch:
             self._compensations(fit, parameters) if object_is_free else {},
             residual,
             fit.upper_bound,
-            displacement_changes(fit.transmission, DISPLACEMENT_ORDERS) if is_amplitude else (),
+            displacement_changes(fit.transmission, DISPLACEMENT_ORDERS) if is_on_dark_ground else (),
         )
 
     def _compensations(self, fit: _BenchFit, parameters: Sequence[Parameter]) -> dict[int, NDArray[Any]]:
