@@ -79,13 +79,15 @@ class ObjectUncertainty:
         with that of the noise, which holds in 95 %, too.
         """
         random, draws, missed = np.random.default_rng(0), 300, 0.01
-        found = np.empty((draws, 2))
+        has_factors = bool(np.any(self.exponents) or np.any(self.displacements))
+        lit, found = self._lit(self.transmission), np.empty((draws, 2))
         for draw in range(draws):
             sizes = random.standard_normal(len(self.changes)).astype(np.float32)
             other = self.transmission + np.tensordot(sizes, self.changes, 1)
-            found[draw] = self._correlation(other)
-            if np.any(self.exponents) or np.any(self.displacements):
-                found[draw, 0] = self._correlation(self._with_factors(other, sizes))
+            found[draw] = object_correlation(self._lit(other), lit, self.light)
+            if has_factors:
+                other = self._with_factors(other, sizes)
+                found[draw, 0] = object_correlation(self._lit(other), lit, self.light)
         correlation, without = (
             float(np.nanquantile(one, missed)) if np.isfinite(one).any() else 1.0 for one in found.T
         )
@@ -112,11 +114,8 @@ class ObjectUncertainty:
             displaced_back(values, (x, y))
         return values * low_order_factor(sizes @ self.exponents, values.shape)
 
-    def _correlation(self, other: ComplexArray) -> float:
-        """Return the correlation of another transmission with the one found."""
-        light = self.light
-        lit = light.with_values(light.values * self.transmission)
-        return object_correlation(light.with_values(light.values * other), lit, light)
+    def _lit(self, transmission: ComplexArray) -> Field:
+        return self.light.with_values(self.light.values * transmission)
 
 
 def _deviations(orders: NDArray[np.floating]) -> Mapping[str, float]:
@@ -220,7 +219,7 @@ def _directions(equations: GaussNewtonStep, covariance: Array) -> Array:
         for other, change_of_other in equations.compensations.items():
             effects[index, other] += float(np.sum(lit * change * change_of_other)) / energy
     along = equations.displacements
-    products = np.array([[np.sum(lit * (one.conj() * other).real) for other in along] for one in along])
+    products = np.array([[np.sum(lit * one * other) for other in along] for one in along])
     effects += equations.following @ products.reshape(len(along), len(along)) @ equations.following.T / energy
     sizes, turns = np.linalg.eigh(roots.T @ effects @ roots)
     order = np.argsort(sizes)[::-1]

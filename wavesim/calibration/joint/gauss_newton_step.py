@@ -111,19 +111,21 @@ class GaussNewtonStep:
         residual = linear.without_scale(linear.residual if residual is None else residual)
         residual, _ = self._without_displacements(residual)
         descent = self._object_part(linear.adjoint_to_object(residual))
-        bounds = -math.inf if len(displacements) else 0.0, upper_bound
+        is_displaced = len(displacements) > 0
+        bounds = -math.inf if is_displaced else 0.0, upper_bound
         is_free = free_samples(linear, transmission, descent, bounds=bounds)
         self.free_samples = is_free & object_is_free
         self.object_descent = descent * self.free_samples
         self.columns = columns.reshape(len(columns), -1)
         self.compensations = {index: change * self.free_samples for index, change in compensations.items()}
-        if self.compensations or len(displacements):
+        if self.compensations or is_displaced:
             self.columns = self.columns.copy()
         for index, change in self.compensations.items():
             self.columns[index] += linear.jacobian_times_object(change).ravel()
         self.following = np.zeros((len(columns), len(displacements)))
-        for index, column in enumerate(self.columns if len(displacements) else ()):
-            column[:], self.following[index] = self._without_displacements(column)
+        if is_displaced:
+            for index, column in enumerate(self.columns):
+                column[:], self.following[index] = self._without_displacements(column)
         self.variance, self.prior_precision = variance, variance / typical**2
         self.descent: Array = (
             np.asarray(self.columns @ residual.ravel(), float) - self.prior_precision * values
@@ -161,9 +163,10 @@ class GaussNewtonStep:
         """
         column = (direction.astype(self.columns.dtype) @ self.columns).reshape(self.linear.residual.shape)
         change, _ = following_change(self, column, self.free_samples, self.kind, self.transmission)
-        _, undone = self._without_displacements(self.linear.jacobian_times_object(change))
-        for multiple, one in zip(direction @ self.following + undone, self.displacements, strict=True):
-            change = change + np.float32(multiple) * one
+        if len(self.displacements):
+            _, undone = self._without_displacements(self.linear.jacobian_times_object(change))
+            for multiple, one in zip(direction @ self.following + undone, self.displacements, strict=True):
+                change = change + np.float32(multiple) * one
         for parameter, compensation in self.compensations.items():
             change = change + np.float32(direction[parameter]) * compensation
         return change

@@ -82,7 +82,6 @@ def position_deviations(misfit_at: MisfitAt, tolerated_ratio: float) -> tuple[fl
     tolerated_ratio
         Ratio of misfits up to which positions count as equal.
     """
-
     largest = tolerated_ratio * misfit_at(0, 0)
 
     def reach(x: int, y: int) -> int:
