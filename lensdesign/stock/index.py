@@ -11,12 +11,9 @@ has changed, is ignored, so that the vendor's file is read again.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import hmac
 import json
 import os
-import secrets
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -25,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from lensdesign.common.atomic_files import atomic_path
-from lensdesign.common.caches import user_cache_folder
+from lensdesign.common.caches import has_user_code, user_cache_folder, user_code, user_key
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.common.input_files import CATALOG_BYTES, LENS_FILE_BYTES, TABLE_BYTES, read_input
 from lensdesign.common.processes import Processes, follow_parent
@@ -35,9 +32,6 @@ from lensdesign.files.formats import LENS_FORMATS
 from lensdesign.stock.vendor_files import find_vendor_files, read_stock_lens, surface_tables
 
 _FORMAT = "transferlens stock index 2"
-
-KEY_BYTES = 32
-"""Length of the key of the codes."""
 
 _BATCH = 40
 """Files that a worker reads before its results are appended to the index; they take a second or less."""
@@ -166,7 +160,7 @@ def index_stock(
         suffixes = " or ".join(LENS_FORMATS)
         raise InputError(f"{folder}: contains no {suffixes} file, nor do the folders below it")
     header = {"index": _FORMAT, "version": toolkit_version(), "catalogs": [*map(_fingerprint, catalogs)]}
-    key = _user_key()
+    key = user_key()
     known = _known_files(path, header, key)
     now = {file.relative_to(folder).as_posix(): _digest(file) for file in found}
     kept = {n: known[n] for n, sha256 in now.items() if sha256 and n in known and known[n].sha256 == sha256}
@@ -207,19 +201,6 @@ def _default_path(folder: Path) -> Path:
     return user_cache_folder() / "stock" / f"{name}.jsonl"
 
 
-def _user_key() -> bytes:
-    """Return the key of the user's indices, which is created in the cache folder at the first time."""
-    path, new = user_cache_folder() / "stock" / "key", secrets.token_bytes(KEY_BYTES)
-    with contextlib.suppress(OSError):  # it exists, or there is no cache folder
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(new)
-    try:
-        return path.read_bytes() or new
-    except OSError:  # without a cache folder, the next run reads all files again
-        return new
-
-
 def _known_files(path: Path, header: dict[str, Any], key: bytes) -> dict[str, IndexedFile]:
     """Return the files in the index by name; none if there is no index, or one with another header."""
     if not path.exists():
@@ -246,19 +227,19 @@ def _indexed_file(line: str, key: bytes) -> IndexedFile | None:
     """Return the file of a line; None if the user did not write it so, and the file is to be read again."""
     row = _json_object(line)
     code = row.pop("code", None)
-    if not isinstance(code, str) or not hmac.compare_digest(code.encode(), _code(row, key).encode()):
+    if not has_user_code(_content(row), code, key):
         return None
     return IndexedFile(**row | {"surfaces": tuple(row["surfaces"])})
 
 
-def _code(row: dict[str, Any], key: bytes) -> str:
-    """Return the code by which the user's own lines are known."""
-    return hmac.new(key, json.dumps(row, sort_keys=True).encode(), hashlib.sha256).hexdigest()
+def _content(row: dict[str, Any]) -> bytes:
+    """Return what the code of a line covers."""
+    return json.dumps(row, sort_keys=True).encode()
 
 
 def _file_line(file: IndexedFile, key: bytes) -> str:
     row = asdict(file)
-    return _line(row | {"code": _code(row, key)})
+    return _line(row | {"code": user_code(_content(row), key)})
 
 
 def _line(content: object) -> str:

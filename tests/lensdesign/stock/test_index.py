@@ -82,7 +82,7 @@ def test_nothing_is_written_beside_the_files_of_vendors(vendors: Path, tmp_path:
     path = index_stock(vendors).path
     assert sorted(vendors.rglob("*")) == before
     assert path.is_relative_to(tmp_path / "cache" / "transferlens" / "stock")
-    assert (path.parent / "key").stat().st_mode & 0o777 == 0o600
+    assert (path.parents[1] / "key").stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.parametrize(
