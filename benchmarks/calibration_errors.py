@@ -58,7 +58,7 @@ CASES = (
     Case(32, "tissue", "complex", 3, (1.0, 30.0), 0.04, 200),
     Case(24, "star", "amplitude", 2, (1.0, 30.0, 1000.0), 0.04, 240),
     Case(24, "phase", "complex", 2, (1.0, 30.0, 1000.0), 0.04, 240),
-    Case(16, "star", "amplitude", 2, (1.0, 30.0), 0.04, 300),
+    Case(16, "star", "amplitude", 2, (1.0, 30.0), 0.04, 400),
 )
 
 
