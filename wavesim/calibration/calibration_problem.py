@@ -40,7 +40,7 @@ from wavesim.engines.registry import AUTO
 from wavesim.reconstruction.problem import key_of_frames, light_of_frames, patch_of_frames
 from wavesim.reconstruction.source_search import modes_on, stated_source
 from wavesim.runtime.checkpoint import Checkpoint
-from wavesim.runtime.memory import MemoryLimitError, memory_limit
+from wavesim.runtime.memory import COMPLEX64, FLOAT32, MemoryLimitError, memory_limit
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -319,8 +319,12 @@ def _check_memory(count: int, modes: int, problem: CalibrationProblem) -> None:
     arrays_per_parameter, arrays_per_mode = 5, 12
     if modes > 1:  # the sums over the modes
         arrays_per_parameter += 1
+    # Changes of the object per parameter that exist while it is eliminated.
+    changes_per_parameter, sample_bytes = 4, FLOAT32 if problem.settings.kind == "amplitude" else COMPLEX64
     arrays = arrays_per_parameter * count + arrays_per_mode * (modes - 1)
-    needed_bytes, free_bytes = arrays * pixels * np.dtype(np.float32).itemsize, memory_limit(None)
+    needed_bytes = FLOAT32 * arrays * pixels
+    needed_bytes += sample_bytes * changes_per_parameter * count * problem.framed.patch.grid.size
+    free_bytes = memory_limit(None)
     if needed_bytes > free_bytes:
         in_modes = f" in light of {modes} modes" if modes > 1 else ""
         raise MemoryLimitError(

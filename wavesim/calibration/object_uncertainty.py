@@ -15,7 +15,7 @@ ground, which is exchanged with the decenter and may be many samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -128,9 +128,9 @@ def _deviations(orders: NDArray[np.floating]) -> Mapping[str, float]:
 def object_uncertainty(
     equations: GaussNewtonStep,
     covariance: Array,
+    followed: NDArray[Any],
     position: Array | None = None,
     absorbed: Sequence[ComplexArray] = (),
-    progress: Callable[[int, int], None] = lambda completed, total: None,
 ) -> ObjectUncertainty:
     """Return the errors of the object about which normal equations were made.
 
@@ -140,21 +140,17 @@ def object_uncertainty(
         Normal equations at the estimates.
     covariance : ndarray, shape (n, n)
         Covariance of the estimates.
+    followed : ndarray, shape (n, ny, nx)
+        Change of the object that follows a unit of each parameter (:meth:`GaussNewtonStep.eliminated`).
     position : ndarray, shape (2,), optional
         Standard deviations of the position of an object on a dark ground along x and y in samples, beside
         those of the bench; None for an object on a clear ground.
     absorbed : sequence of ndarray, shape (ny, nx)
         Relative changes of the light of one standard deviation each, which the object takes over exactly.
-    progress
-        Callback `progress(completed, total)` of the directions.
     """
     linear, values = equations.linear, equations.transmission
     light = linear.model.illumination
-    directions = _directions(equations, covariance)
-    changes = []
-    for index, direction in enumerate(directions):
-        progress(index, len(directions))
-        changes.append(equations.followed_by_object(direction))
+    changes = [equations.followed_by_object(one, followed) for one in _directions(equations, covariance)]
     exponents = np.zeros((len(changes), len(LOW_ORDERS)), complex)
     power, even = np.abs(light.values) ** 2, np.ones(values.shape)
     for index, change in enumerate(changes):

@@ -24,7 +24,7 @@ from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import LinearModel, RealArray
 from wavesim.forward.source_modes import ModesMeasurement
-from wavesim.reconstruction.object_response import following_change, free_samples
+from wavesim.reconstruction.object_response import eliminated_object, free_samples
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import FramedSettings, Kind, ReconstructionSettings
@@ -243,12 +243,9 @@ def squared_widths(
     kind, values
         Kind of the object, and its transmission, which is real for an amplitude object.
     """
-    is_free = free_samples(linear, values)
-    remainders = []
-    for column in source_columns(linear, source, names):
-        _, remaining = following_change(linear, column, is_free, kind, values)
-        remainders.append(remaining.ravel())
-    columns = np.stack(remainders)
+    columns = np.stack(source_columns(linear, source, names))
+    left = eliminated_object(linear, columns, free_samples(linear, values), kind, values)
+    columns = left.columns.reshape(len(columns), -1)
     residual = linear.unbiased_residual().ravel()
     noise = linear.residual_variances(0.0)
     assert noise is not None

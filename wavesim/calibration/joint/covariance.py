@@ -17,7 +17,7 @@ heteroskedasticity", Econometrica 48, 817 (1980).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,11 +25,9 @@ from lensdesign.common.arrays import Array
 from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.pixels import plane_index_of
 from wavesim.calibration.parameters import Parameter, background_orders
+from wavesim.forward.linear_model import RealArray
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.sensor.measurement import DARK, Measurement
-
-ELIMINATION_ITERATIONS = 20
-"""Largest number of iterations that eliminate the object from the covariance."""
 
 INDEPENDENT_ERRORS = 60
 """Number of independent errors of engine and pixels. Unlike noise, they are equal in many pixels, and average
@@ -54,9 +52,7 @@ def covariance_of_estimates(
     equations: GaussNewtonStep,
     parameters: Sequence[Parameter],
     recorded: Sequence[Measurement],
-    *,
-    object_is_free: bool,
-    progress: Callable[[int, int], None] = lambda completed, total: None,
+    effects: RealArray,
 ) -> Array:
     """Return the covariance of the estimates, with the prior included.
 
@@ -68,17 +64,15 @@ def covariance_of_estimates(
         Parameters of the equations.
     recorded
         Measured amplitudes of each plane.
-    object_is_free
-        Whether the object is estimated together with the parameters.
-    progress
-        Callback `progress(completed, total)` of the iterations; they may end early.
+    effects : ndarray, shape (parameters, pixels)
+        Effects of the parameters, with the object eliminated where it is estimated, too
+        (:meth:`GaussNewtonStep.eliminated`).
 
     Returns
     -------
     ndarray, shape (parameters, parameters)
         Covariance in the units of the parameters.
     """
-    effects = equations.reduced_columns(ELIMINATION_ITERATIONS if object_is_free else 0, progress)
     prior, curvature = np.diag(equations.prior_precision), np.asarray(effects @ effects.T, float)
     inverse = np.linalg.inv(curvature + prior)
     linear = equations.linear

@@ -16,7 +16,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -26,8 +25,13 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.forward.linear_model import LinearModel, RealArray
-from wavesim.reconstruction.object_response import following_change, free_samples, possible_change
-from wavesim.runtime.threads import at_once
+from wavesim.reconstruction.object_response import (
+    EliminatedObject,
+    eliminated_object,
+    free_samples,
+    possible_change,
+    products,
+)
 from wavesim.scene.settings import Kind
 
 DAMPING = 0.03
@@ -153,16 +157,17 @@ class GaussNewtonStep:
         steps[:, follows] = -np.linalg.solve(hessian, shares[follows] @ effects.T).T
         return steps
 
-    def followed_by_object(self, direction: Array) -> NDArray[Any]:
+    def followed_by_object(self, direction: Array, changes: NDArray[Any]) -> NDArray[Any]:
         """Return the change of the transmission with which the object follows a change of the parameters.
 
         Parameters
         ----------
         direction : ndarray, shape (parameters,)
             Change of the parameters.
+        changes : ndarray, shape (parameters, ny, nx)
+            Changes of the object per unit of each parameter (`EliminatedObject`).
         """
-        column = (direction.astype(self.columns.dtype) @ self.columns).reshape(self.linear.residual.shape)
-        change, _ = following_change(self, column, self.free_samples, self.kind, self.transmission)
+        change = np.tensordot(direction.astype(self.columns.dtype), changes, 1)
         if len(self.displacements):
             _, undone = self._without_displacements(self.linear.jacobian_times_object(change))
             for multiple, one in zip(direction @ self.following + undone, self.displacements, strict=True):
@@ -239,72 +244,44 @@ class GaussNewtonStep:
             bench_direction = bench_next + energy / previous_energy * bench_direction
         return solution
 
-    def reduced_columns(
+    def eliminated(
         self, most_iterations: int, progress: Callable[[int, int], None] = lambda completed, total: None
-    ) -> RealArray:
-        """Return the effects of the parameters with the object eliminated, shape (parameters, pixels).
+    ) -> EliminatedObject:
+        """Return the effects of the parameters with the object eliminated, and how the object follows.
 
-        The object may change with the parameters, so a parameter is determined only by the part of its effect
-        that no change of the object can make. With the columns :math:`C` of the parameters, and the
-        projection :math:`P` onto the changes that the object can make, the result is :math:`(1 - P) C`. Block
-        conjugate gradients build the projection: each iteration takes the gradients of combinations of
-        columns, and makes their effects orthogonal to those of the iteration before. The lengths of the
-        results are upper bounds that fall with every iteration.
-
-        Combinations that the frames determine less well than the prior are not followed, nor are those whose
-        lengths have converged (`LEAST_LOSS`).
+        The changes of the object are those beside its displacements and known compensations. Combinations
+        that the frames determine less well than the prior are not followed, nor are those whose lengths have
+        converged (`LEAST_LOSS`).
 
         Parameters
         ----------
         most_iterations
-            Largest number of iterations. Each of them applies the forward and the adjoint operator once per
-            combination. With 0 iterations the object stays fixed.
+            Largest number of iterations (:func:`eliminated_object`). With 0 iterations the object stays
+            fixed.
         progress
             Callback `progress(completed, total)` of the iterations; they may end early.
-
-        References
-        ----------
-        D. P. O'Leary, "The block conjugate gradient algorithm and related methods", Linear Algebra Appl. 29,
-        293 (1980).
         """
-        remaining, shape = self.columns.copy(), self.linear.residual.shape
-        previous: RealArray | None = None
         precisions: list[Array] = []
-        for iteration in range(most_iterations):
-            progress(iteration, most_iterations)
+
+        def followed(remaining: RealArray) -> Array:
+            progress(len(precisions), most_iterations)
             precisions.append(self._precision(remaining))
             if len(precisions) > LOSS_ITERATIONS:
-                followed = _still_losing(precisions[-1 - LOSS_ITERATIONS], precisions[-1])
+                combinations = _still_losing(precisions[-1 - LOSS_ITERATIONS], precisions[-1])
             else:
-                followed = _well_determined(precisions[-1])
-            if not followed.shape[1]:
-                break
-            effects = self._unit_combinations(remaining, followed)
-            at_once([partial(self._make_compensation, effect.reshape(shape)) for effect in effects])
-            if previous is not None:
-                effects -= _combined(previous, _products(effects, previous))
-            previous = _orthonormal(effects)
-            remaining -= _combined(previous, _products(remaining, previous))
-        return remaining
+                combinations = _well_determined(precisions[-1])
+            return combinations / np.sqrt(self.prior_precision)[:, None]
 
-    def _make_compensation(self, effect: RealArray) -> None:
-        """Replace a change of the amplitudes by that of the object which the misfit's gradient proposes."""
-        gradient = self._object_part(self.linear.adjoint_to_object(effect)) * self.free_samples
-        effect[:] = self.jacobian_times_object(gradient)
+        columns = self.columns.reshape(-1, *self.linear.residual.shape)
+        found = eliminated_object(
+            self, columns, self.free_samples, self.kind, self.transmission, most_iterations, followed
+        )
+        return found._replace(columns=found.columns.reshape(self.columns.shape))
 
     def _precision(self, columns: RealArray) -> Array:
         """Return the precision that columns give to the parameters, in units of that of their priors."""
         unit = 1.0 / np.sqrt(self.prior_precision)
-        return _products(columns, columns) * np.outer(unit, unit)
-
-    def _unit_combinations(self, columns: RealArray, factors: Array) -> RealArray:
-        """Return combinations of columns in units of the priors, each of length 1.
-
-        The factors have the shape (parameters, combinations).
-        """
-        combinations = _combined(columns, (factors / np.sqrt(self.prior_precision)[:, None]).T)
-        lengths = np.linalg.norm(combinations, axis=1)
-        return np.asarray(combinations / lengths[:, None].astype(columns.dtype))
+        return products(columns, columns) * np.outer(unit, unit)
 
     def _times(self, direction: NDArray[Any], bench_direction: Array) -> tuple[NDArray[Any], Array]:
         """Return the product of the Hessian with a direction of object and bench."""
@@ -333,7 +310,7 @@ class GaussNewtonStep:
             lengths > 0.0
         )
         scales = np.where(is_large, 1.0 / np.where(is_large, lengths, 1.0), 0.0)
-        powers, mixtures = np.linalg.eigh(_products(effects, effects) * np.outer(scales, scales))
+        powers, mixtures = np.linalg.eigh(products(effects, effects) * np.outer(scales, scales))
         is_kept = powers > rounding * max(float(powers[-1]), rounding)
         factors = (mixtures[:, is_kept] / np.sqrt(powers[is_kept])).T * scales
         return _combined(effects, factors), factors
@@ -342,7 +319,7 @@ class GaussNewtonStep:
         """Return a change of the amplitudes without what displacements undo, and their multiples."""
         if not len(self.displacements):
             return change, np.zeros(0)
-        shares = _products(self._displaced, change.reshape(1, -1))[:, 0]
+        shares = products(self._displaced, change.reshape(1, -1))[:, 0]
         left = change - _combined(self._displaced, shares).reshape(change.shape)
         return left, -shares @ self._from_displaced
 
@@ -367,22 +344,6 @@ def _still_losing(earlier: Array, later: Array) -> Array:
     return np.asarray(combinations[:, ratios > 1.0 + LEAST_LOSS])
 
 
-def _products(rows: RealArray, other_rows: RealArray) -> Array:
-    """Return the scalar products of rows, in double precision."""
-    return np.asarray(rows @ other_rows.T, float)
-
-
 def _combined(rows: RealArray, factors: Array) -> RealArray:
     """Return combinations of rows, factors of shape (combinations, rows)."""
     return np.asarray(factors.astype(rows.dtype) @ rows)
-
-
-def _orthonormal(rows: RealArray) -> RealArray:
-    """Return an orthonormal basis of rows, without directions that rounding alone may have made."""
-    lengths = np.linalg.norm(rows, axis=1).astype(float)
-    units = rows[lengths > 0.0] / lengths[lengths > 0.0, None].astype(rows.dtype)
-    powers, mixtures = np.linalg.eigh(_products(units, units))
-    # Squared relative length below which a direction may be an effect of rounding in single precision.
-    rounding = 1e-5
-    is_kept = powers > rounding * max(powers.max(initial=0.0), 1.0)
-    return _combined(units, (mixtures[:, is_kept] / np.sqrt(powers[is_kept])).T)

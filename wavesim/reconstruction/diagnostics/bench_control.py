@@ -10,6 +10,7 @@ errors. The measured part of it corrects the significance.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -38,13 +39,14 @@ class Bench:
 
 
 def displaced_bench(bench: Bench, errors: Mapping[str, float]) -> Bench:
-    """Return a bench with errors, by the names of :class:`ScoreTest.estimate`.
+    """Return a bench with errors, by the names of :class:`ScoreTest.estimate`; others are 0.
 
     Raises
     ------
     TransferLensError
         If rays or samples do not allow it.
     """
+    errors = defaultdict(float, errors)
     scene = bench.engine.scene
     grid, pose = scene.object_grid, scene.pose
     *of_lens, working_distance = MOUNTING
@@ -52,9 +54,8 @@ def displaced_bench(bench: Bench, errors: Mapping[str, float]) -> Bench:
     grid = grid.at(grid.z_mm - errors[working_distance])
     planes = [bench.recorded[0]]
     for number, plane in enumerate(bench.recorded[1:], start=2):
-        x_um, y_um, distance_mm = (
-            errors[f"plane_{number}_{name}"] for name in ("shift_x_um", "shift_y_um", "distance_mm")
-        )
+        x_um, y_um = (errors[f"plane_{number}_shift_{axis}_um"] for axis in "xy")
+        distance_mm = errors[f"plane_distance_{number}_mm"]
         x_mm, y_mm = plane.shift_mm
         planes.append(
             replace(

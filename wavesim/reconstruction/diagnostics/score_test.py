@@ -2,14 +2,14 @@
 
 About the object found, the modelled amplitudes change by d_j per unit of parameter j (decenter, tilt,
 working distance, shift and distance of a plane, squared width and bandwidth of the source). The object
-follows such a change and compensates part of it. Column j of D is the remainder of d_j, found by conjugate
-gradients. With the residuals r and their variances V,
+follows such a change and compensates part of it. Column j of D is the remainder of d_j, found by block
+conjugate gradients. With the residuals r and their variances V,
 
     theta = (D'D)^-1 D'r,    chi^2 = (D'r)' (D'V D)^-1 (D'r)
 
 are the estimated errors of the bench, and their significance. Samples of an amplitude object at a bound, 0
-or 1, leave residuals of one sign, whose common effect is subtracted from r first
-(:func:`_without_effect_of_bounds`). Estimates and significance come from one linear model about the result
+or 1, leave residuals of one sign, whose common effect is subtracted from r first (:func:`_pushes_of_bounds`).
+Estimates and significance come from one linear model about the result
 (:class:`wavesim.forward.linear_model.LinearModel`). A source that would have to be narrower than a point is
 left out.
 
@@ -22,7 +22,7 @@ Phil. Soc. 44, 50 (1948).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -44,7 +44,7 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
 from wavesim.metrics.contrast import object_correlation
 from wavesim.metrics.goodness_of_fit import Undetected
-from wavesim.reconstruction.object_response import following_change, free_samples
+from wavesim.reconstruction.object_response import eliminated_object, free_samples
 from wavesim.reconstruction.source_search import coherent_deg, coherent_nm
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -107,10 +107,10 @@ class ScoreTest:
     pixels : int
         Number of pixels of all planes.
     cause : str
-        The cause that explains most.
+        The cause that explains most; empty if the only errors are sources narrower than a point.
     undetected : tuple of Undetected
-        For each parameter of mounting and source, the smallest error that the test would report, if it were
-        the only one.
+        For each tested parameter of mounting and source, the smallest error that the test would report, if it
+        were the only one.
     """
 
     estimate: Mapping[str, float]
@@ -154,6 +154,7 @@ def score_test(
     fits_scale: bool,
     fill_factor: float,
     model_error: float,
+    calibrated: Collection[str] = (),
     progress: Callable[[str], None] = lambda what: None,
 ) -> ScoreTest:
     """Test the assumed bench against small errors.
@@ -168,6 +169,9 @@ def score_test(
         Measured amplitude per unit of the modelled amplitude, and whether it was fitted.
     model_error
         Relative error of amplitudes due to engine and pixels.
+    calibrated
+        Names of parameters that a calibration has found from these or other frames. They are not tested: the
+        bench has the values that frames prefer, and the calibration states their deviations.
     progress
         Called with a message for each step of the computation.
 
@@ -187,18 +191,20 @@ def score_test(
     model.scale = linear.scale
     columns: dict[str, RealArray] = {}
     progress("effect of the mounting")
-    columns |= _mounting_columns(linear)
-    columns |= _plane_columns(linear)
+    columns |= _mounting_columns(linear, calibrated)
+    columns |= _plane_columns(linear, calibrated)
     progress("effect of the source")
     columns |= _source_columns(linear, model, values)
+    progress("effects with the best object")
     is_free = free_samples(linear, values)
-    following_changes = []
-    for name, column in columns.items():
-        progress(f"effect of {name} with the best object")
-        change, columns[name] = following_change(linear, column, is_free, kind, values)
-        following_changes.append(change)
-    remaining = np.stack([column.ravel() for column in columns.values()])
-    residual = _without_effect_of_bounds(linear, is_free, kind, values).ravel()
+    pushes = _pushes_of_bounds(linear, is_free, kind, values)
+    found = eliminated_object(linear, np.stack([*columns.values(), *pushes]), is_free, kind, values)
+    rows = found.columns.reshape(len(found.columns), -1)
+    remaining, following_changes = rows[: len(columns)], found.changes[: len(columns)]
+    residual = linear.unbiased_residual().ravel()
+    if pushes:  # what a common change of all samples at a bound explains is not evidence
+        basis = rows[len(columns) :].T
+        residual = residual - basis @ np.linalg.lstsq(basis, residual, rcond=None)[0]
     variances = linear.residual_variances(model_error)
     assert variances is not None
     weighted = remaining * variances.ravel()
@@ -218,8 +224,9 @@ def score_test(
     least_loss = LEAST_LOSS_OF_AMPLITUDE if kind == "amplitude" else LEAST_LOSS
     threshold, shown = _certain_chi_square(residual.size), linear.shown_fraction().ravel()
     undetected = []
-    for name in (*MOUNTING, *SOURCE):
-        j = names.index(name)
+    for j, name in enumerate(names):
+        if name not in (*MOUNTING, *SOURCE):
+            continue
         change = following_changes[j] * np.float32(unit[j])
         expected = np.asarray(remaining @ (shown * remaining[j]), float) * unit * unit[j]
         size = math.sqrt(threshold / _chi_square(expected, noise))
@@ -229,7 +236,7 @@ def score_test(
                 break
             size *= ENLARGEMENT
         undetected.append(Undetected(name, _in_unit(name, float(size * unit[j])), reached))
-    by_estimate = np.tensordot((estimate * unit).astype(np.float32), np.stack(following_changes), 1)
+    by_estimate = np.tensordot((estimate * unit).astype(np.float32), following_changes, 1)
     values_by_name = zip(names, (estimate * unit).tolist(), strict=True)
     return ScoreTest(
         {name: _in_unit(name, value) for name, value in values_by_name},
@@ -238,34 +245,25 @@ def score_test(
         correlation(by_estimate),
         least_loss,
         residual.size,
-        max(scores, key=lambda cause: scores[cause]),
+        max(scores, key=lambda cause: scores[cause], default=""),
         tuple(undetected),
     )
 
 
-def _without_effect_of_bounds(
+def _pushes_of_bounds(
     linear: LinearModel, is_free: NDArray[np.bool_], kind: Kind, values: NDArray[Any]
-) -> RealArray:
-    """Return the residuals without what a common change of all samples at a bound explains.
+) -> list[RealArray]:
+    """Return the changes of the amplitudes for a common change of all samples at each bound.
 
     Noise would lift about half of such samples of an amplitude object beyond their bound, and the total
     variation lowers contrast. The bound holds all of them on the same side, and what remains adds up to the
     effect of a bench that is wrong by many standard deviations.
     """
-    residual = linear.unbiased_residual()
     if kind != "amplitude":
-        return residual
-    held, pushes = linear.model.lit & ~is_free, []
-    for at_bound in (held & (values >= 1.0), held & (values <= 0.0)):
-        if np.any(at_bound):
-            push = linear.jacobian_times_object(at_bound.astype(values.dtype))
-            _, remaining = following_change(linear, push, is_free, kind, values)
-            pushes.append(remaining.ravel())
-    if not pushes:
-        return residual
-    basis = np.stack(pushes, axis=1)
-    sizes = np.linalg.lstsq(basis, residual.ravel(), rcond=None)[0]
-    return np.asarray(residual - (basis @ sizes).reshape(residual.shape))
+        return []
+    held = linear.model.lit & ~is_free
+    at_bounds = held & (values >= 1.0), held & (values <= 0.0)
+    return [linear.jacobian_times_object(one.astype(values.dtype)) for one in at_bounds if np.any(one)]
 
 
 def _in_unit(name: str, value: float) -> float:
@@ -330,15 +328,17 @@ def _displaced_scenes(scene: Scene) -> dict[str, PerturbedScene]:
     return scenes
 
 
-def _mounting_columns(linear: LinearModel) -> dict[str, RealArray]:
-    """Return the changes of the modelled amplitudes per unit of each parameter of the mounting.
+def _mounting_columns(linear: LinearModel, without: Collection[str]) -> dict[str, RealArray]:
+    """Return the changes of the modelled amplitudes per unit of each parameter of the mounting but some.
 
     They follow from the paths of displaced rays, or, for engines without rays, from displaced engines.
     """
     engine, lit = linear.model.engine, linear.lit
     assert isinstance(engine, Engine)
-    scenes = _displaced_scenes(engine.scene)
+    scenes = {name: one for name, one in _displaced_scenes(engine.scene).items() if name not in without}
     displaced = list(scenes.values())
+    if not displaced:
+        return {}
     if isinstance(engine, FlatTiles):
         changes = exit_field_changes_by_rays(
             engine, lit, path_derivatives(engine, lit.values.dtype, displaced)
@@ -350,19 +350,21 @@ def _mounting_columns(linear: LinearModel) -> dict[str, RealArray]:
     return dict(zip(scenes, map(linear.jacobian_times_exit_field, changes), strict=True))
 
 
-def _plane_columns(linear: LinearModel) -> dict[str, RealArray]:
-    """Return changes per um of each plane's shift against the first plane, and per mm of its distance."""
+def _plane_columns(linear: LinearModel, without: Collection[str]) -> dict[str, RealArray]:
+    """Return changes per um of each plane's shift against the first plane, and per mm of its distance, but
+    some.
+    """
     measurement = linear.measurement
     assert isinstance(measurement, FreeSpaceMeasurement)
     columns = {}
     for n in range(1, len(linear.model.recorded)):
         for axis, letter in enumerate("xy"):
-            columns[f"plane_{n + 1}_shift_{letter}_um"] = linear.amplitude_change_on_plane(
-                n, measurement.by_shift(n, axis)
-            )
-        columns[f"plane_{n + 1}_distance_mm"] = linear.amplitude_change_on_plane(
-            n, measurement.by_distance(n)
-        )
+            name = f"plane_{n + 1}_shift_{letter}_um"
+            if name not in without:
+                columns[name] = linear.amplitude_change_on_plane(n, measurement.by_shift(n, axis))
+        name = f"plane_distance_{n + 1}_mm"
+        if name not in without:
+            columns[name] = linear.amplitude_change_on_plane(n, measurement.by_distance(n))
     return columns
 
 

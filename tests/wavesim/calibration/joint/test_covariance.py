@@ -34,14 +34,11 @@ class Linear:
 
 
 class Equations:
-    """Normal equations with the object eliminated."""
+    """Normal equations."""
 
     def __init__(self, columns: NDArray[Any], typical: NDArray[Any], variance: float, linear: Linear) -> None:
         self.columns, self.linear, self.variance = columns, linear, variance
         self.prior_precision = variance / typical**2
-
-    def reduced_columns(self, most_iterations: int, _progress: object) -> NDArray[Any]:
-        return self.columns
 
 
 def test_more_pixels_do_not_reduce_the_variance_below_that_of_model_errors() -> None:
@@ -60,7 +57,7 @@ def test_the_covariance_is_that_of_estimates_whatever_the_variances_of_the_pixel
     true = typical * rng.standard_normal((draws, PARAMETERS))
     residuals = true @ columns + np.sqrt(variances) * rng.standard_normal((draws, PIXELS))
     errors = np.linalg.solve(normal, columns @ residuals.T).T - true
-    found = covariance_of_estimates(equations, NO_PARAMETERS, (), object_is_free=True)
+    found = covariance_of_estimates(equations, NO_PARAMETERS, (), columns)
     assert found == pytest.approx(np.cov(errors.T), rel=0.1, abs=0.02 * np.abs(found).max())
 
 
@@ -71,9 +68,9 @@ def test_residuals_beyond_the_noise_widen_the_covariance() -> None:
     )
     linear = Linear(np.full(PIXELS, 0.01))
     equations: Any = Equations(columns, typical, 0.01, linear)
-    alone = covariance_of_estimates(equations, NO_PARAMETERS, (), object_is_free=True)
+    alone = covariance_of_estimates(equations, NO_PARAMETERS, (), columns)
     linear.misfit = np.sqrt(0.01 * PIXELS + 20.0 * 60 * 0.01)
-    assert covariance_of_estimates(equations, NO_PARAMETERS, (), object_is_free=True) == pytest.approx(
+    assert covariance_of_estimates(equations, NO_PARAMETERS, (), columns) == pytest.approx(
         21.0 * alone, rel=1e-3
     )
 
@@ -82,9 +79,7 @@ def test_without_standard_deviations_the_residuals_are_the_evidence() -> None:
     columns, typical = np.random.default_rng(5).standard_normal((PARAMETERS, PIXELS)), np.ones(PARAMETERS)
     equations: Any = Equations(columns, typical, 0.03, Linear(None))
     expected = 0.03 * np.linalg.inv(columns @ columns.T + 0.03 * np.eye(PARAMETERS))
-    assert covariance_of_estimates(equations, NO_PARAMETERS, (), object_is_free=False) == pytest.approx(
-        expected
-    )
+    assert covariance_of_estimates(equations, NO_PARAMETERS, (), columns) == pytest.approx(expected)
 
 
 def test_clipped_noise_adds_to_backgrounds_of_planes_with_noise_alone() -> None:

@@ -89,7 +89,7 @@ def eliminated(columns: NDArray[Any], linear: Dense) -> NDArray[Any]:
 
 
 def curvature(joint: GaussNewtonStep, iterations: int) -> NDArray[Any]:
-    left = joint.reduced_columns(iterations)
+    left = joint.eliminated(iterations).columns
     return np.asarray(left @ left.T + np.diag(VARIANCE / TYPICAL**2))
 
 
@@ -104,6 +104,13 @@ def test_the_object_is_eliminated(rng: np.random.Generator) -> None:
     assert found[3] == pytest.approx(eliminated(columns, linear), rel=1e-6)
     for more, fewer in zip(found[1:], found[:-1], strict=True):
         assert np.linalg.eigvalsh(fewer - more).min() > -1e-9
+
+
+@pytest.mark.parametrize("iterations", [0, 1, 2, 20])
+def test_the_object_makes_what_is_eliminated(rng: np.random.Generator, iterations: int) -> None:
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    left = step_of(columns, linear).eliminated(iterations)
+    assert columns + left.changes @ linear.matrix.T == pytest.approx(left.columns, abs=1e-6)
 
 
 def deviation_error(seed: int) -> tuple[float, int]:
@@ -144,7 +151,7 @@ def test_elimination_converges_where_parts_of_the_object_hardly_matter(
 def test_an_object_that_cannot_move_takes_nothing(rng: np.random.Generator) -> None:
     linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
     joint = step_of(columns, linear, lit=False)
-    assert joint.reduced_columns(2) == pytest.approx(joint.reduced_columns(0))
+    assert joint.eliminated(2).columns == pytest.approx(joint.eliminated(0).columns)
 
 
 def test_what_tells_nothing_beside_the_prior_is_not_followed(rng: np.random.Generator) -> None:
@@ -155,7 +162,7 @@ def test_what_tells_nothing_beside_the_prior_is_not_followed(rng: np.random.Gene
     columns = rng.standard_normal((PARAMETERS, PIXELS))
     faint = np.sqrt(0.5 * LEAST_INFORMATION * VARIANCE / PIXELS)
     columns[1:] *= faint / TYPICAL[1:, None]
-    step_of(columns, linear).reduced_columns(1)
+    step_of(columns, linear).eliminated(1)
     assert len(asked) == 1
 
 
@@ -208,11 +215,12 @@ def test_displacements_are_eliminated_at_once_even_of_samples_at_a_bound(rng: np
     linear, columns, displacements = displaced_problem(rng)
     joint = step_of(columns, linear, lit=False, displacements=displacements)
     basis = np.linalg.qr(linear.matrix @ displacements.T)[0]
-    assert joint.reduced_columns(0) == pytest.approx(columns - columns @ basis @ basis.T)
+    assert joint.eliminated(0).columns == pytest.approx(columns - columns @ basis @ basis.T)
     effects = displacements @ linear.matrix.T
     assert columns + joint.following @ effects == pytest.approx(joint.columns)
     direction = np.array([1.0, -2.0, 0.5, 0.0])
-    assert joint.followed_by_object(direction) == pytest.approx(direction @ joint.following @ displacements)
+    followed = joint.followed_by_object(direction, joint.eliminated(0).changes)
+    assert followed == pytest.approx(direction @ joint.following @ displacements)
 
 
 def test_the_step_of_bench_and_object_is_the_same_with_displacements(
@@ -287,4 +295,7 @@ def test_a_phase_object_follows_with_its_phase_alone(
     assert joint.solve(60) == pytest.approx(np.linalg.solve(normal, descent)[OBJECT:], rel=1e-4)
     basis = np.linalg.qr(by_phase)[0]
     expected = columns - columns @ basis @ basis.T
-    assert joint.reduced_columns(20) == pytest.approx(expected, abs=1e-4)
+    left = joint.eliminated(20)
+    assert left.columns == pytest.approx(expected, abs=1e-4)
+    assert columns + (left.changes @ linear.matrix.T).real == pytest.approx(left.columns, abs=1e-6)
+    assert (left.changes / (1j * values)).imag == pytest.approx(np.zeros((PARAMETERS, OBJECT)), abs=1e-9)

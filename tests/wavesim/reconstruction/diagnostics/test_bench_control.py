@@ -21,7 +21,7 @@ from wavesim.scene.patches import patch_scene
 from wavesim.sensor.measurement import Measurement, recorded_intensity
 
 NO_ERRORS = dict.fromkeys(
-    (*MOUNTING, *SOURCE, "plane_2_shift_x_um", "plane_2_shift_y_um", "plane_2_distance_mm"), 0.0
+    (*MOUNTING, *SOURCE, "plane_2_shift_x_um", "plane_2_shift_y_um", "plane_distance_2_mm"), 0.0
 )
 SCALE = 150.0
 
@@ -86,7 +86,7 @@ def test_a_bench_is_displaced_in_the_units_of_the_names(assumed: Bench) -> None:
         "tilt_x_deg": 0.1,
         "working_distance_mm": 2e-3,
         "plane_2_shift_y_um": 2.0,
-        "plane_2_distance_mm": 0.01,
+        "plane_distance_2_mm": 0.01,
         "source_deg": 0.2,
     }
     bench = displaced_bench(assumed, errors)
