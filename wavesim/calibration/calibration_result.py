@@ -24,10 +24,19 @@ from wavesim.calibration.mounting_parameters import STOP_SHIFTS
 from wavesim.calibration.object_uncertainty import ObjectUncertainty
 from wavesim.calibration.parameters import VIBRATION, Unknowns, all_names, background_orders
 from wavesim.metrics.goodness_of_fit import BenchUncertainty, GoodnessOfFit
+from wavesim.reconstruction.calibrated_bench import (
+    JUDGED_OBJECT,
+    CalibratedBench,
+    JudgedObject,
+    read_judged_object,
+)
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.state_files import STATE, state_of_file, state_table
 from wavesim.scene.system_state import SystemState
+
+CONVERGED = "converged"
+"""Reason for the end of a search that has found its parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +94,10 @@ class Calibrated:
         source is part of the state.
     object_uncertainty : ObjectUncertainty or None
         Errors of the object that the covariance allows; None for a known object.
+    frames_key : str
+        Digest of the frames.
+    judged : JudgedObject or None
+        The object of the verdict.
 
     Examples
     --------
@@ -123,6 +136,20 @@ class Calibrated:
     field_stop_from: StopOrigin = "patch"
     source_deviations: Mapping[str, float] = field(default_factory=dict)
     object_uncertainty: ObjectUncertainty | None = None
+    frames_key: str = ""
+    judged: JudgedObject | None = None
+
+    @property
+    def bench(self) -> CalibratedBench:
+        """The bench for :func:`wavesim.reconstruct_frames`."""
+        has_converged = self.deviations is not None and self.stopped_because == CONVERGED
+        return CalibratedBench(
+            self.state,
+            frozenset(self.parameters if has_converged else ()),
+            self.frames_key,
+            None if self.object_uncertainty is None else self.object_uncertainty.summary,
+            self.judged,
+        )
 
     @property
     def poorly_determined(self) -> tuple[str, ...]:
@@ -211,6 +238,7 @@ class Calibrated:
             "not_told": list(self.poorly_determined),
             "not_told_from": {name: list(others) for name, others in self.correlated_with.items()},
             "parameters": list(self.parameters),
+            "determined": sorted(self.bench.sought),
             "misfit_before": self.misfit_before,
             "misfit": self.misfit,
             "misfit_of_noise": self.misfit_of_noise,
@@ -225,6 +253,7 @@ class Calibrated:
             "field_stop_from": self.field_stop_from,
             "field_stop_doubt": self.stop_warning,
             "source_deviations": dict(self.source_deviations),
+            "frames_key": self.frames_key,
             "object_uncertainty": None
             if self.object_uncertainty is None
             else self.object_uncertainty.summary.as_dict(),
@@ -303,6 +332,13 @@ class _BenchUncertainty(FrozenModel):
     position_um: dict[str, Finite] = Field(default_factory=dict)
 
 
+class _DeterminedParameters(FrozenModel):
+    """Parameters that a calibration has determined, and the frames, in calibration files."""
+
+    determined: tuple[str, ...] = ()
+    frames_key: str = ""
+
+
 def bench_uncertainty_of(path: str | os.PathLike[str]) -> BenchUncertainty | None:
     """Return what the uncertainty of a calibrated bench leaves of its object; None if a file does not say.
 
@@ -320,6 +356,31 @@ def bench_uncertainty_of(path: str | os.PathLike[str]) -> BenchUncertainty | Non
     if table is None:
         return None
     return BenchUncertainty(**validate(_BenchUncertainty, table, Path(path)).model_dump())
+
+
+def read_bench(path: str | os.PathLike[str], lens: Lens) -> CalibratedBench:
+    """Return the bench that `wavesim calibrate` has found, with the object that it has judged.
+
+    Parameters
+    ----------
+    path, lens
+        See :func:`read_calibration`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, contains no state, or belongs to another lens.
+    """
+    state, table = read_calibration(path, lens), read_json(path)
+    stated = {name: table[name] for name in _DeterminedParameters.model_fields if name in table}
+    determined = validate(_DeterminedParameters, stated, Path(path))
+    return CalibratedBench(
+        state,
+        frozenset(determined.determined),
+        determined.frames_key,
+        bench_uncertainty_of(path),
+        read_judged_object(Path(path).with_name(JUDGED_OBJECT)),
+    )
 
 
 class _Mounting(FrozenModel):

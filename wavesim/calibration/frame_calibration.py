@@ -24,6 +24,7 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import LinearModel
 from wavesim.metrics.goodness_of_fit import Finding, PlaneResidual, verdict, with_finding
 from wavesim.metrics.next_steps import STOP_CAUSE
+from wavesim.reconstruction.calibrated_bench import JudgedObject, key_of_pictures
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.problem import key_of_frames, patch_of_frames, validate_frames
@@ -130,7 +131,7 @@ def calibrate_frames(
     Returns
     -------
     Calibrated
-        The bench, the estimates, and the verdict. Give `state` to :func:`wavesim.reconstruct_frames` as
+        The bench, the estimates, and the verdict. Give `bench` to :func:`wavesim.reconstruct_frames` as
         `calibration`.
 
     Raises
@@ -172,6 +173,7 @@ def calibrate_frames(
         found, settings = _calibrated_with_source(lens, frames, requested, empty, priors, folder, progress)
     else:
         found, settings = _calibrated(lens, frames, requested, empty, priors, folder, progress)
+    found = replace(found, frames_key=key_of_pictures(frames))
     if not assess:
         return found
     if on_found is not None:
@@ -593,21 +595,20 @@ def _with_verdict(
     found: Calibrated,
     progress: Progress,
 ) -> Calibrated:
-    """Return the result with the verdict of a reconstruction."""
+    """Return the result with the verdict of a reconstruction, and the object that was judged."""
     # The source is part of the calibrated state.
     names = set(FramedSettings.model_fields) - {"source_deg", "bandwidth_nm"}
     settings_given = settings.model_dump(include=names, exclude_unset=True)
-    reconstruction = reconstruct_frames(
-        lens,
-        frames,
-        ReconstructionSettings(**settings_given),
-        calibration=found.state,
-        progress=lambda stage, completed, total: progress(f"verdict: {stage}", completed, total),
+    judged = JudgedObject.of(
+        reconstruct_frames(
+            lens,
+            frames,
+            ReconstructionSettings(**settings_given),
+            calibration=found.bench,
+            progress=lambda stage, completed, total: progress(f"verdict: {stage}", completed, total),
+        )
     )
-    verdict_of_object = reconstruction.verdict
-    if found.object_uncertainty is not None:
-        verdict_of_object = replace(verdict_of_object, bench=found.object_uncertainty.summary)
-    return _with_stop_finding(replace(found, verdict=verdict_of_object))
+    return _with_stop_finding(replace(found, verdict=judged.verdict, judged=judged))
 
 
 def _with_stop_finding(found: Calibrated) -> Calibrated:

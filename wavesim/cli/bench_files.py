@@ -11,7 +11,6 @@ from wavesim.scene.settings import FrameSetSettings, ReconstructionSettings, Set
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
-    from wavesim.metrics.goodness_of_fit import BenchUncertainty
     from wavesim.scene.system_state import SystemState
     from wavesim.sensor.frames import Frame
 
@@ -43,22 +42,6 @@ def with_calibrated_stop(
         return None, "", settings
     diameter_mm, centre_mm, warning = stop
     return "calibration", warning, settings.with_stop(diameter_mm, centre_mm)
-
-
-def read_bench_uncertainty(
-    calibration: Path | None, settings: ReconstructionSettings
-) -> BenchUncertainty | None:
-    """Read what the uncertainty of a calibrated bench leaves of the object; None where nothing is stated.
-
-    Files of the state alone, and of calibrations with another kind of object, state nothing.
-    """
-    from wavesim.calibration.calibration_result import bench_uncertainty_of
-
-    if calibration is None:
-        return None
-    found = bench_uncertainty_of(calibration)
-    has_phase = found is not None and bool(found.phase_waves)
-    return found if has_phase == (settings.kind != "amplitude") else None
 
 
 def read_empty(

@@ -65,9 +65,10 @@ def calibrate(
     The result is the bench with which frames and reconstruction agree best. Parameters that the frames do not
     need keep their nominal values. The output folder has them in calibration.json, which a reconstruction
     reads (`wavesim reconstruct --calibration FILE`).
-    The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
-    within their noise, and 1 if they are not, or if an interrupt has ended the run before the verdict. After
-    an interrupt, repeat the command to continue.
+    The verdict is that of a reconstruction on this bench, whose object is written, too. A reconstruction of
+    the same frames with the same settings uses it. The exit status is 0 if the frames are explained within
+    their noise, and 1 if they are not, or if an interrupt has ended the run before the verdict. After an
+    interrupt, repeat the command to continue.
 
     Example: wavesim calibrate frames/*.tif --design lens.toml -o bench
     """
@@ -132,10 +133,11 @@ def calibrate(
 def write_calibration(
     found: Calibrated, paths: Sequence[Path], frames: Sequence[Frame], extra: dict[str, Any], output: Path
 ) -> dict[str, Any]:
-    """Write the table and the figure of a calibration, and return the table."""
+    """Write the table and the figure of a calibration, and the object of its verdict; return the table."""
     from wavesim.cli.result_files import new_results, write_json
     from wavesim.plots.calibrations import calibration_figure
     from wavesim.plots.frames import save
+    from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT
     from wavesim.sensor.frame_sets import planes_of_frames
 
     summary = {
@@ -148,11 +150,14 @@ def write_calibration(
     with new_results(output) as folder:
         save(calibration_figure(found, found.misfit_of_noise), folder / "calibration.png")
         write_json(summary, folder / FILE)
+        if found.judged is not None:
+            found.judged.write(folder / JUDGED_OBJECT)
     return summary
 
 
 def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
     """Print the estimates with their standard deviations, and the verdict."""
+    from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT
     from wavesim.targets.patch import stop_words
 
     rows = []
@@ -183,8 +188,8 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
         + ("" if noise is None else f" (expected from noise alone: {noise:.4f})")
     )
     print(
-        f"{summary['mountings_tried']} benches tried; {summary['stopped_because']}; wrote {FILE} and "
-        f"calibration.png to {output}"
+        f"{summary['mountings_tried']} benches tried; {summary['stopped_because']}; wrote {FILE}, "
+        f"calibration.png{f' and {JUDGED_OBJECT}' if found.judged is not None else ''} to {output}"
     )
     if found.verdict is not None:
         print(f"verdict: {found.verdict.words}")

@@ -18,13 +18,7 @@ from lensdesign.common.options import Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.bench_files import (
-    read_bench_state,
-    read_bench_uncertainty,
-    read_empty,
-    read_priors,
-    with_calibrated_stop,
-)
+from wavesim.cli.bench_files import read_empty, read_priors, with_calibrated_stop
 from wavesim.cli.free_space import in_free_space
 from wavesim.cli.layers import in_layers
 from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings, warning_messages
@@ -50,6 +44,7 @@ if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibration_result import Calibrated
     from wavesim.fields.field import Field
+    from wavesim.reconstruction.calibrated_bench import CalibratedBench
     from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
     from wavesim.sensor.frames import Frame
@@ -109,6 +104,7 @@ def reconstruct(
 
     Example: wavesim reconstruct frames/*.tif --design lens.toml -o object
     """
+    from wavesim.calibration.calibration_result import read_bench
     from wavesim.cli.result_files import remove_unfinished
     from wavesim.metrics.goodness_of_fit import Finding, with_finding
     from wavesim.metrics.next_steps import STOP_CAUSE
@@ -160,24 +156,23 @@ def reconstruct(
     with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
-        state = read_bench_state(calibration, lens)
+        bench = None if calibration is None else read_bench(calibration, lens)
         stop_from, stop_doubt, settings = with_calibrated_stop(calibration, settings)
-        bench = read_bench_uncertainty(calibration, settings)
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / subfolder
             expected = read_priors(priors, lens)
             calibrated = _calibrated(
-                lens, pictures[0], without, expected, settings, folder, free.calibrate, state
+                lens, pictures[0], without, expected, settings, folder, free.calibrate, bench
             )
             if free.calibrate and calibrated.field_stop_from == "frames":
                 settings = settings.with_stop(*calibrated.field_stop)
                 stop_from, stop_doubt = "frames", calibrated.stop_warning
-            if free.calibrate and calibrated.object_uncertainty is not None:
-                bench = calibrated.object_uncertainty.summary
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
-            state = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
+            _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
+            earlier, bench = bench, calibrated.bench
             if not free.calibrate:  # the calibration has the mounting, too
+                bench = replace(bench, uncertainty=None if earlier is None else earlier.uncertainty)
                 settings = settings.replaced(**dict.fromkeys(PoseSettings.model_fields, 0.0))
         summaries = list[dict[str, Any]]()
 
@@ -190,7 +185,6 @@ def reconstruct(
             summaries.append(summary)
 
         def summarize(found: FoundObject) -> dict[str, Any]:
-            found = replace(found, verdict=replace(found.verdict, bench=bench))
             if stop_doubt:
                 doubt = Finding(STOP_CAUSE, stop_doubt)
                 found = replace(found, verdict=with_finding(found.verdict, doubt))
@@ -211,7 +205,7 @@ def reconstruct(
                     pictures.pop(),
                     settings,
                     truth=truth,
-                    calibration=state,
+                    calibration=bench,
                     folder=output,
                     progress=on_progress,
                     on_estimate=on_estimate,
@@ -244,11 +238,11 @@ def _calibrated(
     settings: ReconstructionSettings,
     output: Path,
     calibrates: bool,
-    state: SystemState | None,
+    bench: CalibratedBench | None,
 ) -> Calibrated:
     """Calibrate the bench from frames, or the light alone from empty frames; an interrupted run continues.
 
-    With a state that is calibrated already, the light alone is sought anew.
+    On a bench that is calibrated already, the light alone is sought anew.
     """
     from wavesim.calibration.frame_calibration import calibrate_empty, calibrate_frames, validate_same_frames
 
@@ -267,7 +261,7 @@ def _calibrated(
                 assess=False,  # the reconstruction that follows is
             )
         validate_same_frames(empty, frames)
-        start = state or SystemState(settings.pose)
+        start = SystemState(settings.pose) if bench is None else bench.state
         return calibrate_empty(
             lens, empty, sought, start=start, folder=output, progress=on_progress, parameters="light"
         )
@@ -280,15 +274,14 @@ def _write_and_print(
     kind: str,
     output: Path,
     as_json: bool,
-) -> SystemState:
-    """Write and print a calibration, and return its state."""
+) -> None:
+    """Write and print a calibration."""
     from wavesim.cli.calibrate import print_calibration, write_calibration
 
     summary = write_calibration(found, paths, frames, {"object": kind, "warnings": []}, output)
     if not as_json:
         print_calibration(found, summary, output)
         print()
-    return found.state
 
 
 @contextmanager
@@ -415,6 +408,8 @@ def _summary_lines(summary: dict[str, Any]) -> list[str]:
 
     words = stop_words(summary["field_stop_mm"], summary["field_stop_at_mm"])
     lines = [f"{words}, {STOP_ORIGINS[summary['field_stop_from']]}"]
+    if "found_by" in summary:
+        lines.append("object and verdict are those of the calibration, of the same frames and settings")
     if summary["oversampling"] is not None:
         lines.append(
             f"oversampling {summary['oversampling']['ratio']:.3g}: pixels with more light than noise for "

@@ -252,6 +252,7 @@ def _score_test(
             fits_scale=settings.scale is None,
             fill_factor=settings.fill_factor,
             model_error=found.model_error,
+            calibrated=case.sought,
             progress=progress,
         )
     except TransferLensError:

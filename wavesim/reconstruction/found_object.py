@@ -79,6 +79,8 @@ class FoundObject:
     predicted_error : float
         Upper bound of the engine's relative L2 error on the nearest plane. It applies to light with as much
         intensity at the rim of the aperture as the frames show.
+    key : str
+        Digest of all inputs that decide the result.
 
     Examples
     --------
@@ -112,6 +114,7 @@ class FoundObject:
     engine: Engine
     memory: Memory
     predicted_error: float
+    key: str
 
     @cached_property
     def oversampling(self) -> Oversampling | None:

@@ -31,6 +31,7 @@ from wavesim.reconstruction.assessment import (
     stop_search,
     unjudged_result,
 )
+from wavesim.reconstruction.calibrated_bench import CalibratedBench, JudgedObject
 from wavesim.reconstruction.coarse_start import (
     INNER_ITERATIONS,
     ITERATIONS,
@@ -76,7 +77,7 @@ def reconstruct_frames(
     settings: ReconstructionSettings | None = None,
     *,
     truth: Field | Path | None = None,
-    calibration: SystemState | None = None,
+    calibration: SystemState | CalibratedBench | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
     on_estimate: Callable[[Memory], None] | None = None,
@@ -100,7 +101,10 @@ def reconstruct_frames(
         Transmission of the true object on the patch's samples, or its file or folder. The result is compared
         with it.
     calibration
-        State of the system, from :func:`wavesim.calibrate_frames`. Default: as designed.
+        Calibrated bench (`bench` of :func:`wavesim.calibrate_frames`), or a state of the system. Default: as
+        designed. The verdict does not test again what the calibration has determined from the same frames.
+        If the calibration has judged the object of these frames with the same settings, this object is
+        returned.
     folder
         Folder of the checkpoints (`CHECKPOINT`, and `STOP_TRIALS` of a search for the field stop), and of
         arrays that do not fit in memory. The same call continues an interrupted run. Checkpoints are not
@@ -148,14 +152,22 @@ def reconstruct_frames(
     """
     settings = (settings or ReconstructionSettings()).replaced(**changes)
     validate_frames(lens, frames, settings)
-    case = reconstruction_problem(lens, frames, settings, truth, calibration, folder)
+    bench = CalibratedBench(calibration) if isinstance(calibration, SystemState) else calibration
+    state, sought = (None, frozenset[str]()) if bench is None else (bench.state, bench.sought_from(frames))
+    case = reconstruction_problem(lens, frames, settings, truth, state, folder, sought)
     reporter = ProgressReporter(progress, settings, case.engine)
     if settings.field_stop == "find":
         stated = settings.with_stop(*_find_stop(case, settings, reporter))
-        case = reconstruction_problem(lens, frames, stated, truth, calibration, folder)
+        case = reconstruction_problem(lens, frames, stated, truth, state, folder, sought)
     del frames  # they are large, and the problem does not need them any more
     if on_estimate is not None:
         on_estimate(case.memory)
+    if bench is not None and bench.judged is not None and bench.judged.key == case.key:
+        earlier = _judged_object(case, settings, bench.judged, reporter)
+        if on_found is not None:
+            on_found(earlier)
+        return earlier
+    uncertainty = None if bench is None else bench.uncertainty_for(settings.kind)
     ended = list[FoundObject]()
 
     def on_search_end(problem: ReconstructionProblem, result: MethodResult) -> None:
@@ -166,7 +178,7 @@ def reconstruct_frames(
     try:
         with tiles_in(settings.cluster) as hand_over:
             judged = _run(case, settings, hand_over, reporter, on_search_end)
-        return replace(ended.pop(), verdict=judged)
+        return replace(ended.pop(), verdict=replace(judged, bench=uncertainty))
     except KeyboardInterrupt:
         hint = _resume_hint(case)
         if ended:
@@ -338,7 +350,27 @@ def _found_object(
         engine=case.engine,
         memory=case.memory,
         predicted_error=case.predicted_error,
+        key=case.key,
     )
+
+
+def _judged_object(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    judged: JudgedObject,
+    reporter: ProgressReporter,
+) -> FoundObject:
+    """Return an object that a calibration has found and judged with the same inputs."""
+    if "engine_replaced" in judged.of_method:
+        case = more_accurate_case(case, reporter.step) or case
+    result = MethodResult(
+        Field(case.shown_grid, judged.transmission, case.light.wavelength_um),
+        None,
+        judged.residual_maps,
+        judged.curve,
+        dict(judged.of_method) | {"found_by": "calibration"},
+    )
+    return replace(_found_object(case, settings, result, reporter), verdict=judged.verdict)
 
 
 def _coarse_start(

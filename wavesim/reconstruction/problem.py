@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -127,6 +128,10 @@ class ReconstructionProblem(NamedTuple):
         Returns an engine of another accuracy, and its predicted error.
     calibrated : bool
         Whether a calibrated bench was given.
+    sought : frozenset of str
+        Names of the parameters that its calibration has determined.
+    key : str
+        Digest of all inputs that decide the result.
     rounding : float
         Largest fraction of a dark pixel's variance that comes from rounding.
     light_behind : callable
@@ -154,6 +159,8 @@ class ReconstructionProblem(NamedTuple):
     predicted_error: float
     engine_of_error: Callable[[float], tuple[Engine, float]]
     calibrated: bool
+    sought: frozenset[str]
+    key: str
     rounding: float
     light_behind: Callable[[Patch], Field]
     source_deviations: Mapping[str, float] = MappingProxyType({})
@@ -176,6 +183,7 @@ def reconstruction_problem(
     truth: Field | Path | None,
     calibration: SystemState | None,
     folder: Path | None,
+    sought: frozenset[str] = frozenset(),
 ) -> ReconstructionProblem:
     """Read and check all inputs of a reconstruction; the arguments are those of `reconstruct_frames`.
 
@@ -269,6 +277,8 @@ def reconstruction_problem(
         predicted_error=predicted_error,
         engine_of_error=engine_of_error,
         calibrated=state is not None,
+        sought=sought,
+        key=_key_of_result(key, settings, sought),
         rounding=max(rounding_fraction(frame) for frame in framed.frames),
         light_behind=lambda other: _light_behind(other, settings, state),
     )
@@ -438,6 +448,12 @@ def _key(
     is_calibrated = known != stated_source(settings)
     bench = (light.grid.z_mm, planes, known) if is_calibrated else (light.grid.z_mm, planes)
     return key_of_frames(lens, frames, light, settings_json, engine.key(), str(bench))
+
+
+def _key_of_result(key: str, settings: ReconstructionSettings, sought: frozenset[str]) -> str:
+    """Return the digest of all inputs of a result: those of its iterations, and those that follow them."""
+    names = {"starts", "region_mm", "refocus_mm", "engine", "error"}
+    return key_of(key, settings.model_dump_json(include=names), str(sorted(sought)), version("transferlens"))
 
 
 class FramePatch(NamedTuple):

@@ -20,11 +20,12 @@ from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.plots import calibrations
 from wavesim.reconstruction import frame_reconstruction
-from wavesim.scene.system_state import SystemState
+from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT, CalibratedBench
 
 POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
 
 FILES = ["calibration.json", "calibration.png", "settings.toml"]
+"""Files of a calibration; that of an unknown object adds the one that was judged."""
 
 
 @pytest.fixture(scope="module")
@@ -82,25 +83,33 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
 def test_its_figures_are_those_of_a_reconstruction_with_it(
     wavesim: Command, data: Path, tmp_path: Path
 ) -> None:
-    """Of both commands with the same options, and of a calibration within a reconstruction."""
+    """A reconstruction with the same options uses the object that was judged, or finds the same anew."""
     given = (*frames_and_design(data)[:-2], "--kind", "amplitude")  # the error is not stated
     sought = "--parameters", "decenter_x_mm,tilt_y_deg", "--iterations", 3, "--max-mountings", 3
-    _, out, err = wavesim("calibrate", *given, *sought, "-o", tmp_path, "--json")
+    _, out, _ = wavesim("calibrate", *given, *sought, "-o", tmp_path, "--json")
     calibrated = json.loads(out)
-    _, out, err = wavesim(
-        "reconstruct",
-        *given,
-        "--calibration",
-        tmp_path / "calibration.json",
-        "-o",
-        tmp_path / "out",
-        "--json",
-    )
-    assert out, err
-    reconstructed = json.loads(out)["verdict"]
+    judged, command = tmp_path / JUDGED_OBJECT, ("reconstruct", *given, "--truth", data, "--usaf", "bright")
+    command = (*command, "--calibration", tmp_path / "calibration.json", "-o", tmp_path / "out")
+
+    def reconstructed(*options: object) -> dict[str, Any]:
+        _, out, err = wavesim(*command, *options, "--json")
+        assert out, err
+        found: dict[str, Any] = json.loads(out)
+        return found
+
+    used = reconstructed()
+    assert used["found_by"] == "calibration"
+    assert used["verdict"] == calibrated["verdict"]
+    for options in (("--iterations", 20), ("--starts", 2)):
+        assert "found_by" not in reconstructed(*options)
+    judged.write_bytes(judged.read_bytes()[:2000])  # a damaged file does no harm
+    anew = reconstructed()
+    assert "found_by" not in anew
     for name in ("over_noise", "held_out_over_noise", "explained", "least_correlation", "bench"):
-        assert calibrated["verdict"][name] == reconstructed[name]
-    assert calibrated["over_noise"] == reconstructed["over_noise"]
+        assert calibrated["verdict"][name] == anew["verdict"][name]
+    assert calibrated["over_noise"] == anew["verdict"]["over_noise"]
+    for name in ("iterations", "misfit", "scale", "planes", "truth", "usaf", "oversampling", "engine"):
+        assert used[name] == anew[name], name
 
 
 def test_an_interrupted_search_goes_on(
@@ -135,7 +144,7 @@ def test_an_interrupted_search_goes_on(
     code, _, err = wavesim("calibrate", *command, "-o", tmp_path)
     assert code in (0, 1), err
     assert began[0] == 0 < began[1]
-    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*FILES, JUDGED_OBJECT])
     found = json.loads((tmp_path / "calibration.json").read_text())
     assert found["mountings_tried"] > began[1]
     assert any("continued from the checkpoint" in text for text in found["warnings"])
@@ -206,10 +215,10 @@ def test_both_in_one_run(
     path = tmp_path / "calibration" / "calibration.json"
     assert sorted(one.name for one in path.parent.iterdir()) == ["calibration.json", "calibration.png"]
     (taken_bench,), written = given, read_calibration(path, load_design(data / "twin.toml"))
-    assert isinstance(taken_bench, SystemState)
-    assert taken_bench.light == written.light
-    assert taken_bench.plane_shifts_um == written.plane_shifts_um
-    assert taken_bench.pose == written.pose
+    assert isinstance(taken_bench, CalibratedBench)
+    assert taken_bench.state.light == written.light
+    assert taken_bench.state.plane_shifts_um == written.plane_shifts_um
+    assert taken_bench.state.pose == written.pose
     code, _, err = wavesim("reconstruct", *command, "--calibration", path)
     assert code == 2
     assert "give only one of them" in err
