@@ -22,6 +22,7 @@ SHARED = {
     "others",
     "docs_pictures",
     "explaining_pictures",
+    "against_commit",
     "attacked_runs",
     "independent_frames",
 }

@@ -1,0 +1,134 @@
+"""Calibration and reconstruction of bench frames, in turns with an older commit: processor time and results.
+
+A folder holds frames, the true object and `set.json`, as for `benchmarks.bench_sets`. Each version runs the
+commands as users type them, in processes of its own and with the same installed libraries:
+`wavesim calibrate`, and `wavesim reconstruct --calibration` with its result. For this version, the
+reconstruction is measured twice: with the object that the calibration has judged, and without it.
+
+    python -m benchmarks.against_commit COMMIT [--rounds 1] [FOLDER ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from benchmarks.bench_sets import GOLDEN
+from benchmarks.timing import Row, print_table
+from wavesim import read_frames
+from wavesim.fields.field import Field, Grid
+from wavesim.fields.files import write_field
+
+ROOT = Path(__file__).resolve().parents[1]
+
+JUDGED = "judged_object.npz"
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("commit")
+    parser.add_argument("folders", nargs="*", type=Path, default=[GOLDEN])
+    parser.add_argument("--rounds", type=int, default=1)
+    given = parser.parse_args()
+    with _checkout(given.commit) as older:
+        for folder in given.folders:
+            print_table(
+                f"{folder.name}, this version and {given.commit}",
+                _rows(folder.resolve(), older, given.rounds),
+            )
+
+
+@contextmanager
+def _checkout(commit: str) -> Iterator[Path]:
+    """Yield a folder with the files of a commit."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "older"
+        subprocess.run(["git", "worktree", "add", "--detach", "--quiet", path, commit], cwd=ROOT, check=True)
+        try:
+            yield path
+        finally:
+            subprocess.run(["git", "worktree", "remove", "--force", path], cwd=ROOT, check=True)
+
+
+def _rows(folder: Path, older: Path, rounds: int) -> list[Row]:
+    seconds: dict[str, list[float]] = {}
+    found: dict[str, dict[str, Any]] = {}
+    for _ in range(rounds):
+        for version, root in (("older", older), ("this", ROOT)):
+            with tempfile.TemporaryDirectory() as place:
+                for name, time_s, result in _measured(folder, root, Path(place)):
+                    seconds.setdefault(f"{version}: {name}", []).append(time_s)
+                    found[f"{version}: {name}"] = result
+    rows = [Row(name, median(times), "s") for name, times in seconds.items()]
+    for name in ("calibrate", "reconstruct"):
+        ratio = median(seconds[f"this: {name}"]) / median(seconds[f"older: {name}"])
+        rows.append(Row(f"ratio of {name}", ratio, at_most=0.2))
+    for name, result in found.items():
+        if "truth" in result:
+            rows.append(Row(f"correlation, {name}", result["truth"]["object_correlation"]))
+        rows.append(Row(f"explained (1: yes), {name}", float(result["verdict"]["explained"])))
+    return rows
+
+
+def _measured(folder: Path, root: Path, place: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
+    """Yield name, processor time and result of each command of one version."""
+    about = json.loads((folder / "set.json").read_text())
+    own = folder.with_suffix(".toml")
+    frames = [folder / name for name in about["files"]]
+    given = [*frames, "--design", own if own.exists() else folder.parent / "nominal.toml"]
+    given += ["--patch-mm", about["patch_mm"], "--kind", about.get("kind", "amplitude"), "--json"]
+    truth = folder / "object.npz"
+    if not truth.exists():
+        truth = _write_object(folder / "truth.npz", place / "true.npz", frames[0])
+    yield "calibrate", *_run(root, "calibrate", *given, "-o", place / "bench")
+    command = ("reconstruct", *given, "--calibration", place / "bench" / "calibration.json")
+    yield "reconstruct", *_run(root, *command, "--truth", truth, "-o", place / "object")
+    if (place / "bench" / JUDGED).exists():
+        (place / "bench" / JUDGED).unlink()
+        yield "reconstruct anew", *_run(root, *command, "--truth", truth, "-o", place / "anew")
+
+
+def _write_object(path: Path, target: Path, frame: Path) -> Path:
+    """Write the field of an object from its transmission and its field stop."""
+    with np.load(path) as stored:
+        values, pitch_mm = stored["transmission"] * stored["inside"], 1e-3 * float(stored["pitch_um"])
+    grid = Grid(values.shape, pitch_mm)
+    write_field(Field(grid, values, read_frames([frame])[0].settings.wavelength_um), target)
+    return target
+
+
+def _run(root: Path, *words: object) -> tuple[float, dict[str, Any]]:
+    """Run `wavesim` of a version, and return its processor time and its result."""
+    environment = os.environ | {"PYTHONPATH": str(root)}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-c", "from wavesim.cli import main; main()", *map(str, words)],
+        cwd=root,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"exit status {done.returncode}: {' '.join(map(str, words))}")
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    result: dict[str, Any] = json.loads(done.stdout)
+    return spent, result
+
+
+if __name__ == "__main__":
+    main()
