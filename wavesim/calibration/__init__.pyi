@@ -1,4 +1,4 @@
-from .calibration_result import Calibrated, read_calibration
+from .calibration_result import Calibrated, read_bench, read_calibration
 from .frame_calibration import calibrate_empty, calibrate_frames
 from .free_space import FreeSpaceField, reconstruct_free_space
 from .known_object import calibrate
@@ -13,6 +13,7 @@ __all__ = [
     "calibrate_empty",
     "calibrate_frames",
     "plan_frames",
+    "read_bench",
     "read_calibration",
     "reconstruct_free_space",
 ]

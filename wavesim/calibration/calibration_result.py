@@ -366,6 +366,11 @@ def read_bench(path: str | os.PathLike[str], lens: Lens) -> CalibratedBench:
     path, lens
         See :func:`read_calibration`.
 
+    Returns
+    -------
+    CalibratedBench
+        The bench, as :func:`wavesim.reconstruct_frames` takes it.
+
     Raises
     ------
     InputError

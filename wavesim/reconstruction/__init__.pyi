@@ -1,3 +1,4 @@
+from .calibrated_bench import CalibratedBench
 from .diagnostics.bootstrap import Uncertainty, UndeterminedError, uncertainty
 from .found_object import FoundObject
 from .frame_reconstruction import reconstruct_frames
@@ -9,6 +10,7 @@ from .phase_retrieval import Retrieved, agreement, retrieve
 from .refocusing import Refocusing, refocus_field, svfg
 
 __all__ = [
+    "CalibratedBench",
     "FoundLayers",
     "FoundObject",
     "Layers",
