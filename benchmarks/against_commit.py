@@ -30,10 +30,9 @@ from benchmarks.timing import Row, print_table
 from wavesim import read_frames
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.files import write_field
+from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT
 
 ROOT = Path(__file__).resolve().parents[1]
-
-JUDGED = "judged_object.npz"
 
 
 def main() -> None:
@@ -96,8 +95,8 @@ def _measured(folder: Path, root: Path, place: Path) -> Iterator[tuple[str, floa
     yield "calibrate", *_run(root, "calibrate", *given, "-o", place / "bench")
     command = ("reconstruct", *given, "--calibration", place / "bench" / "calibration.json")
     yield "reconstruct", *_run(root, *command, "--truth", truth, "-o", place / "object")
-    if (place / "bench" / JUDGED).exists():
-        (place / "bench" / JUDGED).unlink()
+    if (place / "bench" / JUDGED_OBJECT).exists():
+        (place / "bench" / JUDGED_OBJECT).unlink()
         yield "reconstruct anew", *_run(root, *command, "--truth", truth, "-o", place / "anew")
 
 
@@ -118,13 +117,14 @@ def _run(root: Path, *words: object) -> tuple[float, dict[str, Any]]:
         [sys.executable, "-c", "from wavesim.cli import main; main()", *map(str, words)],
         cwd=root,
         env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
+        capture_output=True,
         text=True,
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode not in (0, 1):
-        raise RuntimeError(f"exit status {done.returncode}: {' '.join(map(str, words))}")
+        raise RuntimeError(
+            f"{' '.join(map(str, words))}: exit status {done.returncode}\n{done.stderr[-2000:]}"
+        )
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     result: dict[str, Any] = json.loads(done.stdout)
     return spent, result

@@ -248,7 +248,7 @@ def search_bench(
     settings, light = problem.settings, problem.framed.light
     if absorbed is None:
         absorbed = problem.absorbed if known is None else ()
-    _check_memory(len(parameters), len(modes_on(light, start.fixed.source)), problem)
+    _check_memory(len(parameters), len(modes_on(light, start.fixed.source)), problem, known is None)
     settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
     search_text = f"({dict(start.values)!r}, {_key_text(parameters)})"
     if start.fixed.source != POINT:
@@ -311,16 +311,17 @@ def search_bench(
     )
 
 
-def _check_memory(count: int, modes: int, problem: CalibrationProblem) -> None:
+def _check_memory(count: int, modes: int, problem: CalibrationProblem, object_is_free: bool) -> None:
     """Check that the derivatives of all pixels, and the fields of all modes of the light, fit in memory."""
     pixels = sum(plane.amplitude.size for plane in problem.pixels.recorded)
     # Arrays of the size of all pixels per parameter that exist at the end of a search, and those of each
     # further mode: its rows and samples on the planes, six complex arrays.
-    arrays_per_parameter, arrays_per_mode = 5, 12
+    arrays_per_parameter, arrays_per_mode = 6, 12
     if modes > 1:  # the sums over the modes
         arrays_per_parameter += 1
     # Changes of the object per parameter that exist while it is eliminated.
-    changes_per_parameter, sample_bytes = 4, FLOAT32 if problem.settings.kind == "amplitude" else COMPLEX64
+    changes_per_parameter = 4 if object_is_free else 0
+    sample_bytes = FLOAT32 if problem.settings.kind == "amplitude" else COMPLEX64
     arrays = arrays_per_parameter * count + arrays_per_mode * (modes - 1)
     needed_bytes = FLOAT32 * arrays * pixels
     needed_bytes += sample_bytes * changes_per_parameter * count * problem.framed.patch.grid.size

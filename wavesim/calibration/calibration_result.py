@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
+from wavesim.calibration.joint.search import CONVERGED
 from wavesim.calibration.mounting_parameters import STOP_SHIFTS
 from wavesim.calibration.object_uncertainty import ObjectUncertainty
 from wavesim.calibration.parameters import VIBRATION, Unknowns, all_names, background_orders
@@ -34,9 +36,6 @@ from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.state_files import STATE, state_of_file, state_table
 from wavesim.scene.system_state import SystemState
-
-CONVERGED = "converged"
-"""Reason for the end of a search that has found its parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +93,8 @@ class Calibrated:
         source is part of the state.
     object_uncertainty : ObjectUncertainty or None
         Errors of the object that the covariance allows; None for a known object.
-    frames_key : str
-        Digest of the frames.
+    evidence_key : str
+        Digest of frames, light and kind of object (:func:`wavesim.reconstruction.problem.evidence_key`).
     judged : JudgedObject or None
         The object of the verdict.
 
@@ -136,7 +135,7 @@ class Calibrated:
     field_stop_from: StopOrigin = "patch"
     source_deviations: Mapping[str, float] = field(default_factory=dict)
     object_uncertainty: ObjectUncertainty | None = None
-    frames_key: str = ""
+    evidence_key: str = ""
     judged: JudgedObject | None = None
 
     @property
@@ -146,10 +145,13 @@ class Calibrated:
         return CalibratedBench(
             self.state,
             frozenset(self.parameters if has_converged else ()),
-            self.frames_key,
+            self.evidence_key,
             None if self.object_uncertainty is None else self.object_uncertainty.summary,
-            self.judged,
+            self._judged_with,
         )
+
+    def _judged_with(self, key: str) -> JudgedObject | None:
+        return self.judged if self.judged is not None and self.judged.key == key else None
 
     @property
     def poorly_determined(self) -> tuple[str, ...]:
@@ -238,7 +240,7 @@ class Calibrated:
             "not_told": list(self.poorly_determined),
             "not_told_from": {name: list(others) for name, others in self.correlated_with.items()},
             "parameters": list(self.parameters),
-            "determined": sorted(self.bench.sought),
+            "sought": sorted(self.bench.sought),
             "misfit_before": self.misfit_before,
             "misfit": self.misfit,
             "misfit_of_noise": self.misfit_of_noise,
@@ -253,7 +255,7 @@ class Calibrated:
             "field_stop_from": self.field_stop_from,
             "field_stop_doubt": self.stop_warning,
             "source_deviations": dict(self.source_deviations),
-            "frames_key": self.frames_key,
+            "evidence_key": self.evidence_key,
             "object_uncertainty": None
             if self.object_uncertainty is None
             else self.object_uncertainty.summary.as_dict(),
@@ -332,11 +334,11 @@ class _BenchUncertainty(FrozenModel):
     position_um: dict[str, Finite] = Field(default_factory=dict)
 
 
-class _DeterminedParameters(FrozenModel):
-    """Parameters that a calibration has determined, and the frames, in calibration files."""
+class _SoughtParameters(FrozenModel):
+    """Parameters that a calibration has sought until it converged, and its evidence, in calibration files."""
 
-    determined: tuple[str, ...] = ()
-    frames_key: str = ""
+    sought: tuple[str, ...] = ()
+    evidence_key: str = ""
 
 
 def bench_uncertainty_of(path: str | os.PathLike[str]) -> BenchUncertainty | None:
@@ -377,14 +379,14 @@ def read_bench(path: str | os.PathLike[str], lens: Lens) -> CalibratedBench:
         If the file cannot be read, contains no state, or belongs to another lens.
     """
     state, table = read_calibration(path, lens), read_json(path)
-    stated = {name: table[name] for name in _DeterminedParameters.model_fields if name in table}
-    determined = validate(_DeterminedParameters, stated, Path(path))
+    stated = {name: table[name] for name in _SoughtParameters.model_fields if name in table}
+    parameters = validate(_SoughtParameters, stated, Path(path))
     return CalibratedBench(
         state,
-        frozenset(determined.determined),
-        determined.frames_key,
+        frozenset(parameters.sought),
+        parameters.evidence_key,
         bench_uncertainty_of(path),
-        read_judged_object(Path(path).with_name(JUDGED_OBJECT)),
+        partial(read_judged_object, Path(path).with_name(JUDGED_OBJECT)),
     )
 
 

@@ -24,10 +24,10 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import LinearModel
 from wavesim.metrics.goodness_of_fit import Finding, PlaneResidual, verdict, with_finding
 from wavesim.metrics.next_steps import STOP_CAUSE
-from wavesim.reconstruction.calibrated_bench import JudgedObject, key_of_pictures
+from wavesim.reconstruction.calibrated_bench import JudgedObject
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-from wavesim.reconstruction.problem import key_of_frames, patch_of_frames, validate_frames
+from wavesim.reconstruction.problem import evidence_key, key_of_frames, patch_of_frames, validate_frames
 from wavesim.reconstruction.source_search import (
     FoundSource,
     SourceWarning,
@@ -173,7 +173,7 @@ def calibrate_frames(
         found, settings = _calibrated_with_source(lens, frames, requested, empty, priors, folder, progress)
     else:
         found, settings = _calibrated(lens, frames, requested, empty, priors, folder, progress)
-    found = replace(found, frames_key=key_of_pictures(frames))
+    found = replace(found, evidence_key=_evidence_key(lens, frames, settings))
     if not assess:
         return found
     if on_found is not None:
@@ -586,6 +586,13 @@ def _with_light(measured: Calibrated, found: Calibrated) -> Calibrated:
         undetermined=(),
         applied={n: (measured.applied or {})[n] for n in names} | dict(found.applied or {}),
     )
+
+
+def _evidence_key(lens: Lens, frames: Sequence[Frame], settings: CalibrationSettings) -> str:
+    """Return the key of the evidence of a calibration."""
+    with warnings.catch_warnings():  # those about the frames have been printed
+        warnings.simplefilter("ignore")
+        return evidence_key(lens, patch_of_frames(lens, frames, settings), settings)
 
 
 def _with_verdict(

@@ -13,6 +13,7 @@ import typer
 from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Json
+from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors
 from wavesim.cli.options import DesignOption, Empty, Frames, Output, Priors, print_warnings, warning_messages
@@ -150,8 +151,12 @@ def write_calibration(
     with new_results(output) as folder:
         save(calibration_figure(found, found.misfit_of_noise), folder / "calibration.png")
         write_json(summary, folder / FILE)
-        if found.judged is not None:
-            found.judged.write(folder / JUDGED_OBJECT)
+    judged_path = output / JUDGED_OBJECT
+    with suppress(InputError, OSError):  # it only saves a reconstruction its time
+        if found.judged is None:  # one of an earlier run may lie there
+            judged_path.unlink(missing_ok=True)
+        else:
+            found.judged.write(judged_path)
     return summary
 
 

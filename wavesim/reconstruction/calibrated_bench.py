@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,12 @@ from lensdesign.common.array_files import read_arrays
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.caches import has_user_code, user_code, user_key
 from lensdesign.errors import InputError
+from lensdesign.lens.poses import Pose
 from wavesim.metrics.goodness_of_fit import BenchUncertainty, GoodnessOfFit
 from wavesim.reconstruction.found_object import FoundObject
 from wavesim.runtime.checkpoint import digest_of, key_of
 from wavesim.scene.settings import Kind
-from wavesim.scene.system_state import SystemState
-from wavesim.sensor.frames import Frame
+from wavesim.scene.system_state import SystemState, state_of
 
 JUDGED_OBJECT = "judged_object.npz"
 """Name of the file of the judged object, beside that of its calibration."""
@@ -87,16 +87,23 @@ _VERDICT = TypeAdapter(GoodnessOfFit)
 
 def _content(arrays: Mapping[str, Any]) -> bytes:
     """Return what the code of a file covers."""
-    return key_of(*(part for name in sorted(arrays) for part in (name, digest_of(arrays[name])))).encode()
+    parts = []
+    for name in sorted(arrays):
+        values = np.asarray(arrays[name])
+        parts += [name, values.dtype.str, str(values.shape), digest_of(values)]
+    return key_of(*parts).encode()
 
 
-def read_judged_object(path: Path) -> JudgedObject | None:
-    """Return the object of a file; None if there is none, if it is damaged, or if another user has made it.
+def read_judged_object(path: Path, key: str) -> JudgedObject | None:
+    """Return the object of a file; None if it is not that of the inputs of a key.
 
-    The object can be found again, so that a file that cannot be used does no harm.
+    It is also None if there is no file, if it is damaged, or if another user has made it. The object can be
+    found again, so that a file that cannot be used does no harm.
     """
     try:
-        stored = read_arrays(path, os.path.getsize(path), copies=0.0)
+        if str(read_arrays(path, most_bytes=100_000, only=("key",))["key"]) != key:
+            return None
+        stored = read_arrays(path, os.path.getsize(path), copies=1.0)
         code = str(stored.pop("code"))
         if not has_user_code(_content(stored), code, user_key()):
             return None
@@ -113,11 +120,6 @@ def read_judged_object(path: Path) -> JudgedObject | None:
         return None
 
 
-def key_of_pictures(frames: Sequence[Frame]) -> str:
-    """Return a digest of the counts of frames, whatever their order."""
-    return key_of(*sorted(digest_of(frame.counts) for frame in frames))
-
-
 @dataclass(frozen=True, eq=False)
 class CalibratedBench:
     """A calibrated bench.
@@ -127,26 +129,23 @@ class CalibratedBench:
     state : SystemState
         State of lens, light and camera.
     sought : frozenset of str
-        Names of the parameters that the calibration has determined.
-    frames_key : str
-        Digest of the frames of the calibration (`key_of_pictures`). The verdict of a reconstruction of the
-        same frames does not test these parameters again; other frames may show that the bench has changed.
+        Names of the parameters that a calibration has sought until it converged.
+    evidence_key : str
+        Digest of its frames, light and kind of object (:func:`wavesim.reconstruction.problem.evidence_key`).
+        The verdict of a reconstruction from the same evidence does not test these parameters again. Other
+        frames may show that the bench has changed.
     uncertainty : BenchUncertainty or None
         What the uncertainty of the bench leaves of an object; None if it is not known.
-    judged : JudgedObject or None
-        The object that the calibration has judged. A reconstruction with the same frames and settings
-        returns it.
+    judged_with
+        Function that returns the object that the calibration has judged with the inputs of a key
+        (`FoundObject.key`), or None.
     """
 
     state: SystemState
     sought: frozenset[str] = frozenset()
-    frames_key: str = ""
+    evidence_key: str = ""
     uncertainty: BenchUncertainty | None = None
-    judged: JudgedObject | None = None
-
-    def sought_from(self, frames: Sequence[Frame]) -> frozenset[str]:
-        """Return the names of the parameters that the calibration has determined from these frames."""
-        return self.sought if self.sought and self.frames_key == key_of_pictures(frames) else frozenset()
+    judged_with: Callable[[str], JudgedObject | None] = lambda key: None
 
     def uncertainty_for(self, kind: Kind) -> BenchUncertainty | None:
         """Return the uncertainty for a kind of object; None if the calibration was made with another kind."""
@@ -154,3 +153,10 @@ class CalibratedBench:
             return None
         has_phase = bool(self.uncertainty.phase_waves)
         return self.uncertainty if has_phase == (kind != "amplitude") else None
+
+
+def bench_of(calibration: CalibratedBench | SystemState | Pose | None) -> CalibratedBench | None:
+    """Return the bench of a calibration, or of a state that is known otherwise; None for the design."""
+    if calibration is None or isinstance(calibration, CalibratedBench):
+        return calibration
+    return CalibratedBench(state_of(calibration))

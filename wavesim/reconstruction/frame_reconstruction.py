@@ -31,7 +31,7 @@ from wavesim.reconstruction.assessment import (
     stop_search,
     unjudged_result,
 )
-from wavesim.reconstruction.calibrated_bench import CalibratedBench, JudgedObject
+from wavesim.reconstruction.calibrated_bench import CalibratedBench, JudgedObject, bench_of
 from wavesim.reconstruction.coarse_start import (
     INNER_ITERATIONS,
     ITERATIONS,
@@ -101,10 +101,10 @@ def reconstruct_frames(
         Transmission of the true object on the patch's samples, or its file or folder. The result is compared
         with it.
     calibration
-        Calibrated bench (`bench` of :func:`wavesim.calibrate_frames`), or a state of the system. Default: as
-        designed. The verdict does not test again what the calibration has determined from the same frames.
-        If the calibration has judged the object of these frames with the same settings, this object is
-        returned.
+        Calibrated bench (`bench` of the result of :func:`wavesim.calibrate_frames`), or a state of the
+        system. Default: as designed. The verdict does not test parameters again that the calibration has
+        sought with the same frames, light and kind of object. If it has judged the object with the same
+        settings, this object is returned.
     folder
         Folder of the checkpoints (`CHECKPOINT`, and `STOP_TRIALS` of a search for the field stop), and of
         arrays that do not fit in memory. The same call continues an interrupted run. Checkpoints are not
@@ -115,7 +115,8 @@ def reconstruct_frames(
         Callback `on_estimate(memory)` with the estimate of the memory, called after all checks.
     on_found
         Callback `on_found(found)` with the object, called when the search ends. The verdict, which may take
-        longer than the search, is not known yet (`found.verdict.judged` is False).
+        longer than the search, is not known yet (`found.verdict.judged` is False), unless a calibration has
+        judged the object.
     **changes
         Settings by name, which replace those of `settings`.
 
@@ -152,18 +153,18 @@ def reconstruct_frames(
     """
     settings = (settings or ReconstructionSettings()).replaced(**changes)
     validate_frames(lens, frames, settings)
-    bench = CalibratedBench(calibration) if isinstance(calibration, SystemState) else calibration
-    state, sought = (None, frozenset[str]()) if bench is None else (bench.state, bench.sought_from(frames))
-    case = reconstruction_problem(lens, frames, settings, truth, state, folder, sought)
+    bench = bench_of(calibration)
+    case = reconstruction_problem(lens, frames, settings, truth, bench, folder)
     reporter = ProgressReporter(progress, settings, case.engine)
     if settings.field_stop == "find":
         stated = settings.with_stop(*_find_stop(case, settings, reporter))
-        case = reconstruction_problem(lens, frames, stated, truth, state, folder, sought)
+        case = reconstruction_problem(lens, frames, stated, truth, bench, folder)
     del frames  # they are large, and the problem does not need them any more
     if on_estimate is not None:
         on_estimate(case.memory)
-    if bench is not None and bench.judged is not None and bench.judged.key == case.key:
-        earlier = _judged_object(case, settings, bench.judged, reporter)
+    known = None if bench is None else bench.judged_with(case.key)
+    earlier = None if known is None else _judged_object(case, settings, known, reporter)
+    if earlier is not None:
         if on_found is not None:
             on_found(earlier)
         return earlier
@@ -171,7 +172,8 @@ def reconstruct_frames(
     ended = list[FoundObject]()
 
     def on_search_end(problem: ReconstructionProblem, result: MethodResult) -> None:
-        ended.append(_found_object(problem, settings, result, reporter))
+        found = _found_object(problem, settings, result, reporter)
+        ended.append(replace(found, verdict=replace(found.verdict, bench=uncertainty)))
         if on_found is not None:
             on_found(ended[0])
 
@@ -359,16 +361,25 @@ def _judged_object(
     settings: ReconstructionSettings,
     judged: JudgedObject,
     reporter: ProgressReporter,
-) -> FoundObject:
-    """Return an object that a calibration has found and judged with the same inputs."""
+) -> FoundObject | None:
+    """Return an object that a calibration has found and judged with the same inputs.
+
+    It is None if the engine that has found it cannot be made, for want of memory.
+    """
     if "engine_replaced" in judged.of_method:
-        case = more_accurate_case(case, reporter.step) or case
+        while engine_summary(case) != judged.of_method["engine_replaced"]["after"]:
+            accurate = more_accurate_case(case, reporter.step)
+            if accurate is None:
+                return None
+            case = accurate
+    transmission = Field(case.shown_grid, judged.transmission, case.light.wavelength_um)
     result = MethodResult(
-        Field(case.shown_grid, judged.transmission, case.light.wavelength_um),
+        transmission,
         None,
         judged.residual_maps,
         judged.curve,
         dict(judged.of_method) | {"found_by": "calibration"},
+        whole=None if isinstance(case.engine, Tiled) else transmission,
     )
     return replace(_found_object(case, settings, result, reporter), verdict=judged.verdict)
 

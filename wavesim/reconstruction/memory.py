@@ -157,9 +157,11 @@ def _testing_bytes(engine: Engine, planes: int, kind: Kind) -> int:
     """Return the memory of the score test of the bench, with a second engine of another wavelength."""
     if isinstance(engine, Tiled):  # it is not tested
         return 0
-    scene, parameters = engine.scene, 4 + 3 * planes
-    # Effects of all parameters on the pixels, weighted and not, and on the object.
-    effects = parameters * (11 * planes * scene.exit_grid.size + _step_bytes(scene.object_grid.size, kind))
+    # Parameters, and samples at the two bounds of an object. Seven arrays for each on the pixels, and four on
+    # the object, exist while the object is eliminated.
+    scene, columns = engine.scene, 4 + 3 * planes + 2
+    on_pixels = 7 * FLOAT32 * planes * scene.exit_grid.size
+    effects = columns * (on_pixels + 4 * _step_bytes(scene.object_grid.size, kind))
     return 2 * engine.cost().peak_bytes_in_single + effects
 
 

@@ -154,13 +154,15 @@ def eliminated_object(
             change = possible_change(kind, values, linear.adjoint_to_object(effect)) * is_free
             gradient[:], effect[:] = change.ravel(), linear.jacobian_times_object(change)
 
-        shaped = effects.reshape(-1, *columns.shape[1:])
-        at_once([partial(propose, *pair) for pair in zip(shaped, gradients, strict=True)])
+        pairs = zip(effects.reshape(-1, *columns.shape[1:]), gradients, strict=True)
+        at_once([partial(propose, *pair) for pair in pairs])
         if previous is not None:
             overlap = products(effects, previous[0])
             effects -= _combined(previous[0], overlap)
             gradients -= _combined(previous[1], overlap)
         basis = _orthonormal_combinations(effects)
+        if not len(basis):
+            break
         previous = effects, gradients = _combined(effects, basis), _combined(gradients, basis)
         shares = products(remaining, effects)
         remaining -= _combined(effects, shares)
@@ -169,7 +171,7 @@ def eliminated_object(
 
 
 def products(rows: RealArray, other_rows: RealArray) -> Array:
-    """Return the scalar products of rows, in double precision."""
+    """Return the scalar products of rows, computed in their precision."""
     return np.asarray(rows @ other_rows.T, float)
 
 

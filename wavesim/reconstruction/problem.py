@@ -7,6 +7,7 @@ rim of the aperture (:func:`light_of_frames`).
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +31,7 @@ from wavesim.engines.surfaces.grids import LONGEST_SECONDS
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
+from wavesim.reconstruction.calibrated_bench import CalibratedBench, bench_of
 from wavesim.reconstruction.diagnostics.held_out import HeldOut, hold_out, is_given
 from wavesim.reconstruction.memory import run_bytes
 from wavesim.reconstruction.source_search import BROADEST, coherent_nm, modes_on, sought_widths, stated_source
@@ -40,9 +42,10 @@ from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene, placed_light, placed_scene
-from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
+from wavesim.scene.settings import FramedSettings, PatchSettings, ReconstructionSettings, SettingError
 from wavesim.scene.source import POINT, Source, SourceMode
-from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
+from wavesim.scene.state_files import state_table
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 from wavesim.sensor.duplicate_frames import validate_distinct_frames
 from wavesim.sensor.frame_sets import (
     PlaneFrames,
@@ -129,7 +132,7 @@ class ReconstructionProblem(NamedTuple):
     calibrated : bool
         Whether a calibrated bench was given.
     sought : frozenset of str
-        Names of the parameters that its calibration has determined.
+        Names of the parameters that its calibration has sought with the same evidence.
     key : str
         Digest of all inputs that decide the result.
     rounding : float
@@ -181,9 +184,8 @@ def reconstruction_problem(
     frames: Sequence[Frame],
     settings: ReconstructionSettings,
     truth: Field | Path | None,
-    calibration: SystemState | None,
+    calibration: CalibratedBench | SystemState | None,
     folder: Path | None,
-    sought: frozenset[str] = frozenset(),
 ) -> ReconstructionProblem:
     """Read and check all inputs of a reconstruction; the arguments are those of `reconstruct_frames`.
 
@@ -193,7 +195,8 @@ def reconstruction_problem(
         If an input is invalid or inputs contradict each other, or the arrays do not fit in memory.
     """
     limit = memory_limit(settings.memory_gb)
-    state = None if calibration is None else state_of(calibration)
+    bench = bench_of(calibration)
+    state = None if bench is None else bench.state
     if state is not None and settings.pose != Pose():
         raise SettingError("{calibration} says how the lens is mounted: give no decenter, tilt or despace")
     pose = settings.pose if state is None else state.pose
@@ -243,6 +246,9 @@ def reconstruction_problem(
     memory = Memory(need, limit)
     scratch = scratch_in(folder, _scratch_limit(memory, settings))
     key = _key(lens, framed.frames, settings, light, recorded, engine, known)
+    sought = frozenset[str]()
+    if bench is not None and bench.sought and bench.evidence_key == evidence_key(lens, framed, settings):
+        sought = bench.sought
     predicted_error, even = engine.predicted_error(frame_light), frame_light.even
     stored_light = light.with_values(scratch.held(light.values, "the illumination"))
 
@@ -278,7 +284,7 @@ def reconstruction_problem(
         engine_of_error=engine_of_error,
         calibrated=state is not None,
         sought=sought,
-        key=_key_of_result(key, settings, sought),
+        key=_key_of_result(key, settings, state, sought),
         rounding=max(rounding_fraction(frame) for frame in framed.frames),
         light_behind=lambda other: _light_behind(other, settings, state),
     )
@@ -450,10 +456,21 @@ def _key(
     return key_of_frames(lens, frames, light, settings_json, engine.key(), str(bench))
 
 
-def _key_of_result(key: str, settings: ReconstructionSettings, sought: frozenset[str]) -> str:
+def _key_of_result(
+    key: str, settings: ReconstructionSettings, state: SystemState | None, sought: frozenset[str]
+) -> str:
     """Return the digest of all inputs of a result: those of its iterations, and those that follow them."""
     names = {"starts", "region_mm", "refocus_mm", "engine", "error"}
-    return key_of(key, settings.model_dump_json(include=names), str(sorted(sought)), version("transferlens"))
+    bench = "" if state is None else json.dumps(state_table(state), sort_keys=True)
+    return key_of(
+        key, settings.model_dump_json(include=names), bench, str(sorted(sought)), version("transferlens")
+    )
+
+
+def evidence_key(lens: Lens, framed: FramePatch, settings: FramedSettings) -> str:
+    """Return a digest of what determines a bench: frames, nominal light, and what the object may be."""
+    assumed = settings.model_dump_json(include={"kind", "scale", "fill_factor"})
+    return key_of_frames(lens, framed.frames, framed.light, assumed)
 
 
 class FramePatch(NamedTuple):

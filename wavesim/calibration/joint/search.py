@@ -75,6 +75,9 @@ CONVERGED_ITERATIONS, ESTIMATE_ITERATIONS, ELIMINATION_ITERATIONS = 80, 30, 20
 to eliminate the object from the effects of the parameters.
 """
 
+CONVERGED = "converged"
+"""Reason for the end of a search that has found its parameters."""
+
 Progress = Callable[[int, Unknowns, float], None]
 
 MOST_ITERATIONS, UNSETTLED_GAIN = 40, 0.1
@@ -605,7 +608,7 @@ class JointSearch:
             is_free = self._is_free(current, equations, parameters_sought)
             free = tuple(p for p, one in zip(parameters_sought, is_free, strict=True) if one)
             if not free:
-                reason = "converged"
+                reason = CONVERGED
                 break
             equations = equations.restricted(is_free)
             state, best = self._search_along_step(state, current, reference.engine, equations, free)
@@ -614,7 +617,7 @@ class JointSearch:
             if gain > 0.0 and self.keep is not None:
                 self.keep(state)
             if gain < least_gains[state.stage] or (state.stage == 0 and self._is_near_noise(current)):
-                reason = "converged"
+                reason = CONVERGED
                 break
             del equations, sought_columns
             if gain > linear_gain:

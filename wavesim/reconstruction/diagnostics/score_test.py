@@ -170,8 +170,8 @@ def score_test(
     model_error
         Relative error of amplitudes due to engine and pixels.
     calibrated
-        Names of parameters that a calibration has found from these or other frames. They are not tested: the
-        bench has the values that frames prefer, and the calibration states their deviations.
+        Names of parameters that a calibration has sought with these frames. They are not tested: the bench
+        has the values that the frames prefer, and the calibration states their deviations.
     progress
         Called with a message for each step of the computation.
 
