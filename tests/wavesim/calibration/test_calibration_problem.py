@@ -33,8 +33,9 @@ def test_the_memory_of_all_modes_of_the_light_counts(monkeypatch: pytest.MonkeyP
         iterations=1,
         most_mountings=1,
     )
-    (plane,) = CalibrationProblem(lens, frames, settings).pixels.recorded
-    limit = 4 * plane.amplitude.size * (6 + 12 * 6)
+    problem = CalibrationProblem(lens, frames, settings)
+    (plane,), samples = problem.pixels.recorded, problem.framed.patch.grid.size
+    limit = 4 * (plane.amplitude.size * (7 + 12 * 6) + 4 * samples)
     calls: dict[str, Any] = {"settings": settings, "assess": False}
     monkeypatch.setattr(calibration_problem, "memory_limit", lambda stated: limit)
     calibrate_frames(lens, frames, **calls)

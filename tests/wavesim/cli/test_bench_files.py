@@ -159,7 +159,7 @@ def test_more_than_memory_holds_is_refused(
     assert "use --kind amplitude" in err
     code, _, err = run("calibrate", *light, "--kind", "amplitude", "-o", tmp_path / "out")
     assert code == 2
-    assert "10 parameters in 39200 pixels needs 0.00784 GB, and 0.002 GB are" in " ".join(err.split())
+    assert "10 parameters in 39200 pixels needs 0.0109 GB, and 0.002 GB are" in " ".join(err.split())
     assert not (tmp_path / "out").exists()
 
 
