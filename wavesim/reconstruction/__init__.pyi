@@ -1,4 +1,3 @@
-from .calibrated_bench import CalibratedBench
 from .diagnostics.bootstrap import Uncertainty, UndeterminedError, uncertainty
 from .found_object import FoundObject
 from .frame_reconstruction import reconstruct_frames
@@ -10,7 +9,6 @@ from .phase_retrieval import Retrieved, agreement, retrieve
 from .refocusing import Refocusing, refocus_field, svfg
 
 __all__ = [
-    "CalibratedBench",
     "FoundLayers",
     "FoundObject",
     "Layers",
