@@ -1,4 +1,5 @@
-# make demo: the main job on the paper's lens.  make test: style, types and tests.  make docs: the documentation.
+# make demo: the main job on the paper's lens.  make check: style, types and quick tests, for every change.
+# make test: style, types and all tests.  make docs: the documentation.
 # make paper: the paper's equations, tables, figures and numbers on one page.
 # All set up their own virtual environment first; Python 3.11, make and a C compiler are enough.
 
@@ -8,7 +9,7 @@ READY := .venv/ready
 OUT := demo_output
 PACKAGES := lensdesign wavesim tolerancing studio
 
-.PHONY: demo gallery paper test style types tests commands test-lowest docs benchmarks lock clean
+.PHONY: demo gallery paper check test style types tests slow-tests commands test-lowest docs benchmarks lock clean
 
 demo: $(READY)
 	@mkdir -p $(OUT)
@@ -67,6 +68,10 @@ paper: $(READY)
 	$(BIN)/python -m paper --quick -o paper_output
 	@echo "read paper_output/paper.md"
 
+# Unit tests alone: without whole commands, browser, cluster, notebooks, site and pages, which take long.
+check: style types
+	$(PYTEST) -m "not slow"
+
 test: style
 	$(MAKE) --no-print-directory --jobs=2 types tests
 
@@ -79,9 +84,15 @@ types: $(READY)
 
 # The functions of a file go to one worker, which makes what they share once, and so do those of a class. Python keeps
 # what it compiles, whatever the environment says: workers and the processes that tests start need it again.
+PYTEST = PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 \
+  $(BIN)/python -m pytest -n auto --dist loadscope --no-loadscope-reorder
+
 tests: $(READY)
-	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 \
-	  $(BIN)/python -m pytest -n auto --dist loadscope --no-loadscope-reorder
+	$(PYTEST)
+
+# The list of tests that `make check` leaves out, from the times of all tests on this machine.
+slow-tests: $(READY)
+	RECORD_SLOW_TESTS=1 $(PYTEST)
 
 # Every command of the documentation; `make tests` leaves out those that take about a minute or more.
 commands: $(READY)

@@ -12,6 +12,7 @@ from compile_once import take_turns
 from cores import keep_to_own_cores
 from hypothesis import HealthCheck, settings
 from places import DESIGNS, GOLDEN, ROOT
+from slow_tests import Recorder, mark_slow
 
 from lensdesign import Lens, load_design
 
@@ -52,15 +53,18 @@ LONG = (
 )
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Workers compile in turns, each on cores of its own."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         keep_to_own_cores()
         take_turns(Path(__file__))
+    elif os.environ.get("RECORD_SLOW_TESTS"):
+        config.pluginmanager.register(Recorder())
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest first; otherwise in the order of the folders."""
+    """The longest first; otherwise in the order of the folders. Slow ones are marked."""
+    mark_slow(items)
 
     def place(item: pytest.Item) -> int:
         path = item.path.relative_to(ROOT / "tests").as_posix()
