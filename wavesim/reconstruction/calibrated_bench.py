@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from lensdesign.common.array_files import read_arrays
-from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.caches import has_user_code, user_code, user_key
-from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.metrics.goodness_of_fit import BenchUncertainty, GoodnessOfFit
 from wavesim.reconstruction.found_object import FoundObject
-from wavesim.runtime.checkpoint import digest_of, key_of
+from wavesim.runtime.checkpoint import Checkpoint, digest_of, key_of
 from wavesim.scene.settings import Kind
 from wavesim.scene.system_state import SystemState, state_of
 
@@ -78,8 +74,7 @@ class JudgedObject:
         }
         arrays |= {f"residual_{index}": values for index, values in enumerate(self.residual_maps)}
         code = user_code(_content(arrays), user_key())
-        with atomic_path(path) as temporary:
-            np.savez(temporary, code=np.asarray(code), **arrays)
+        Checkpoint(path, arrays.pop("key")).keep(code=np.asarray(code), **arrays)
 
 
 _VERDICT = TypeAdapter(GoodnessOfFit)
@@ -100,10 +95,10 @@ def read_judged_object(path: Path, key: str) -> JudgedObject | None:
     It is also None if there is no file, if it is damaged, or if another user has made it. The object can be
     found again, so that a file that cannot be used does no harm.
     """
+    stored = Checkpoint(path, key).load(copies=1.0)
+    if stored is None:
+        return None
     try:
-        if str(read_arrays(path, most_bytes=100_000, only=("key",))["key"]) != key:
-            return None
-        stored = read_arrays(path, os.path.getsize(path), copies=1.0)
         code = str(stored.pop("code"))
         if not has_user_code(_content(stored), code, user_key()):
             return None
@@ -116,7 +111,7 @@ def read_judged_object(path: Path, key: str) -> JudgedObject | None:
             json.loads(str(stored["of_method"])),
             _VERDICT.validate_python(json.loads(str(stored["verdict"]))),
         )
-    except (InputError, OSError, KeyError, ValueError, ValidationError):
+    except (KeyError, ValueError, ValidationError):
         return None
 
 

@@ -44,14 +44,17 @@ class Checkpoint:
     path: Path
     key: str
 
-    def load(self) -> dict[str, Any] | None:
-        """Return the stored results; None if there are none, or they are of another run or damaged."""
+    def load(self, copies: float = 0.0) -> dict[str, Any] | None:
+        """Return the stored results; None if there are none, or they are of another run or damaged.
+
+        They are also None if they need more memory than is free, in multiples of their size.
+        """
         if not self.kept:
             return None
         try:
             # A checkpoint is not compressed, so that a damaged one cannot claim more memory than its own
             # size.
-            return read_arrays(self.path, os.path.getsize(self.path), copies=0.0)
+            return read_arrays(self.path, os.path.getsize(self.path), copies=copies)
         except (InputError, OSError):
             return None
 
