@@ -174,7 +174,9 @@ class TileOperator:
         """Row and column of the plane at which the tile's window begins."""
         return self.window[0].start, self.window[-1].start
 
-    def perturbed(self, carrier: RayMap, changes: SmoothMap, wavenumber_per_mm: float) -> TileOperator:
+    def perturbed(
+        self, carrier: RayMap, changes: SmoothMap, wavenumber_per_mm: float, factor: float = 1.0
+    ) -> TileOperator:
         """Return the operator of the tile behind a slightly different lens.
 
         Paths and directions change; amplitudes and the residual expansion do not.
@@ -187,12 +189,14 @@ class TileOperator:
             Changes of path and object-side cosines, in the order of its maps.
         wavenumber_per_mm
             Vacuum wavenumber.
+        factor
+            Factor of the field.
         """
         if self._plans is None:
             return self
         result, change = copy(self), self._on_points(changes)
         fine = changes.along(self._fine).each() if self._interpolation is not None else iter([change[0]])
-        twiddle = np.exp(1j * wavenumber_per_mm * next(iter(fine))).astype(self._dtype)
+        twiddle = (factor * np.exp(1j * wavenumber_per_mm * next(iter(fine)))).astype(self._dtype)
         if self._interpolation is not None:
             result._carrier = self._carrier * twiddle
         else:

@@ -6,8 +6,9 @@ lens. The field of a tile is multiplied by the phasor of this change at the tile
 center, the path changes by the change of the direction in which rays leave the object, times the distance
 from the center.
 
-The same holds for a sensor that is slightly off the grid of the tiles. This takes a hundredth of the time of
-new tiles. Amplitudes, and the path of a tile beyond its first order, stay unchanged.
+The same holds for a sensor that is slightly off the grid of the tiles, and for a slightly different
+wavelength, whose paths count in wavelengths of the tiles. This takes a hundredth of the time of new tiles.
+Amplitudes, and the path of a tile beyond its first order, stay unchanged.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def ray_changes(
     Parameters
     ----------
     scene
-        Scene with the changed lens, or with a displaced object.
+        Scene with the changed lens, with a displaced object, or for another wavelength.
     reference
         Scene of the tile.
     tile, ray_map
@@ -68,7 +69,8 @@ def ray_changes(
     -------
     SmoothMap
         On the sensor: increase of the path from the tile's center in mm, and changes of the direction
-        cosines along y and x with which rays leave the object.
+        cosines along y and x with which rays leave the object. Paths and cosines of another wavelength are
+        multiplied by the ratio of wavenumbers.
 
     Raises
     ------
@@ -85,7 +87,8 @@ def ray_changes(
             raise InputError("no ray of the changed lens arrives: the change is too large")
         sensor_points, path_mm = _on_sensor(rays, float(scene.system.index[0, -1]), grid, sensor_pose)
         arriving = sensor_points[rays.ok]
-        changes = np.concatenate([path_mm[None], rays.cosines.T])[:, rays.ok]
+        wavenumbers = reference.wavelength_um / scene.wavelength_um
+        changes = wavenumbers * np.concatenate([path_mm[None], rays.cosines.T])[:, rays.ok]
         changes -= ray_map.maps.at(arriving)[[0, 2, 3]]
         if removed is not None:
             changes -= removed.at(arriving)
@@ -119,14 +122,15 @@ class PerturbedTiles(FlatTiles):
     reference
         Engine whose scene has the same grids, except for the position of the object.
     scene
-        Scene with the changed lens.
+        Scene with the changed lens, or for another wavelength.
     sensor_pose
         Pose of the sensor relative to the grid of the tiles.
 
     Raises
     ------
     InputError
-        If there is free space between the tiles' plane and a sensor that is off the grid.
+        If there is free space behind the tiles' plane, and the sensor is off the grid or the wavelength
+        another one.
     """
 
     name = "perturbed-tiles"
@@ -137,6 +141,11 @@ class PerturbedTiles(FlatTiles):
             raise InputError(
                 f"sensor displaced by {sensor_pose}: needs tiles that end on the sensor plane; these end "
                 "before it"
+            )
+        if scene.wavelength_um != reference.scene.wavelength_um and reference.plane.beyond is not None:
+            raise InputError(
+                f"wavelength of {scene.wavelength_um:g} um: needs tiles that end on the exit grid; these end "
+                "before it, and continue with the wavelength of their own"
             )
         self.reference, self.sensor_pose, self.plane = reference, sensor_pose, reference.plane
 
@@ -175,9 +184,12 @@ class PerturbedTiles(FlatTiles):
             yield tile, ray_map, operator
 
     def _build_operators(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
-        wavenumber = self.scene.wavenumber_per_mm
+        wavenumber = self.reference.scene.wavenumber_per_mm
+        # Light of a point spreads over an area that grows with the squared wavelength, or over a length.
+        dimensions = len(self.plane.grid.shape)
+        factor = (self.scene.wavenumber_per_mm / wavenumber) ** (0.5 * dimensions)
         return tuple(
-            operator.perturbed(ray_map, self.changes(tile, ray_map), wavenumber)
+            operator.perturbed(ray_map, self.changes(tile, ray_map), wavenumber, factor)
             for tile, ray_map, operator in self.reference.tile_operators(dtype)
         )
 

@@ -34,6 +34,7 @@ from lensdesign.common.text import quantity_sentence
 from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.engines.eikonal.perturbed_tiles import (
     PerturbedScene,
+    PerturbedTiles,
     exit_field_changes_by_engines,
     exit_field_changes_by_rays,
     path_derivatives,
@@ -389,7 +390,16 @@ def _source_columns(linear: LinearModel, model: ForwardModel, values: NDArray[An
 def _amplitudes_of(mode: SourceMode, model: ForwardModel, values: NDArray[Any]) -> list[RealArray]:
     """Return the amplitudes of one direction and wavelength; its engine exists only meanwhile."""
     assert isinstance(model.engine, Engine)
-    engine = model.engine.at_wavelength(mode.wavelength_um)
+    engine = _at_similar_wavelength(model.engine, mode.wavelength_um)
     return ForwardModel(
         engine, mode.on(model.illumination), model.recorded, model.scale, model.fill_factor
     ).amplitudes(values)
+
+
+def _at_similar_wavelength(engine: Engine, wavelength_um: float) -> Engine:
+    """Return the engine for a slightly different wavelength, of the same tiles if it has tiles."""
+    if wavelength_um == engine.scene.wavelength_um:
+        return engine
+    if type(engine) is FlatTiles and engine.plane.beyond is None:
+        return PerturbedTiles(engine, replace(engine.scene, wavelength_um=wavelength_um))
+    return engine.at_wavelength(wavelength_um)

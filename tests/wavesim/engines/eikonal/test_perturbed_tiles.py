@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_twins import bars_under_stop
@@ -60,6 +62,24 @@ def test_turned_tiles_are_those_of_the_changed_lens(reference: tuple[FlatTiles, 
     change = np.linalg.norm(made - engine.forward(lit).values)
     assert change > 0.05 * np.linalg.norm(made)
     assert np.linalg.norm(turned - made) < 0.1 * change
+
+
+@pytest.mark.parametrize("relative_change", [4e-3, -4e-3])
+def test_tiles_of_a_similar_wavelength_are_those_made_for_it(
+    reference: tuple[FlatTiles, Field], relative_change: float
+) -> None:
+    """Also where the index of the glass changes with the wavelength; a phase of all light does not count."""
+    engine, lit = reference
+    wavelength_um = engine.scene.wavelength_um * (1.0 + relative_change)
+    scene = replace(engine.scene, wavelength_um=wavelength_um)
+    there = Field(scene.object_grid, lit.values, wavelength_um, lit.index)
+    made = made_of(scene, there)
+    turned = PerturbedTiles(engine, scene).forward(there).values
+    before = engine.forward(lit).values
+    turned, before = (one * np.exp(-1j * np.angle(np.vdot(made, one))) for one in (turned, before))
+    change = np.linalg.norm(made - before)
+    assert change > 0.05 * np.linalg.norm(made)
+    assert np.linalg.norm(turned - made) < 0.05 * change
 
 
 @pytest.mark.parametrize("what", WHAT)
