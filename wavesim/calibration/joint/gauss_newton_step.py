@@ -114,6 +114,7 @@ class GaussNewtonStep:
         self._displaced, self._from_displaced = self._effects_of_displacements()
         residual = linear.without_scale(linear.residual if residual is None else residual)
         residual, _ = self._without_displacements(residual)
+        self._residual, self._values = residual.ravel(), values
         descent = self._object_part(linear.adjoint_to_object(residual))
         is_displaced = len(displacements) > 0
         bounds = -math.inf if is_displaced else 0.0, upper_bound
@@ -243,6 +244,23 @@ class GaussNewtonStep:
             direction = next_direction + np.float32(energy / previous_energy) * direction
             bench_direction = bench_next + energy / previous_energy * bench_direction
         return solution
+
+    def step_of_effects(self, effects: RealArray, chosen: NDArray[np.bool_], others: Array) -> Array:
+        """Return the undamped step of some bench parameters, from the effects of all parameters.
+
+        Parameters
+        ----------
+        effects : ndarray, shape (parameters, pixels)
+            Effects of the parameters with the object eliminated (:meth:`eliminated`).
+        chosen : ndarray of bool, shape (parameters,)
+            Whether a parameter is among them.
+        others : ndarray, shape (parameters,)
+            Known steps; only those of parameters that are not chosen count.
+        """
+        hessian = products(effects, effects) + np.diag(self.prior_precision)
+        descent = np.asarray(effects @ self._residual, float) - self.prior_precision * self._values
+        left = descent - hessian @ np.where(chosen, 0.0, others)
+        return np.asarray(np.linalg.solve(hessian[np.ix_(chosen, chosen)], left[chosen]), float)
 
     def eliminated(
         self, most_iterations: int, progress: Callable[[int, int], None] = lambda completed, total: None

@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -317,13 +318,14 @@ class JointSearch:
     ) -> FitResult:
         """Return the estimates about the final object, and the bench with the parameters that are needed."""
         self.on_stage("object on the bench found", 0, 0)
-        best, equations, estimates = self._refined(
+        best, equations = self._refined(
             self._without_wrong_limit(self._converged_fit(current.unknowns, verified)), ray_derivatives
         )
         eliminated = equations.eliminated(
             ELIMINATION_ITERATIONS if self.known is None else 0,
             lambda done, total: self.on_stage("standard deviations", done, total),
         )
+        estimates = self._within_range(best, partial(equations.step_of_effects, eliminated.columns))
         covariance = covariance_of_estimates(
             equations, self.parameters, self.pixels.recorded, eliminated.columns
         )
@@ -344,32 +346,23 @@ class JointSearch:
 
     def _refined(
         self, best: _BenchFit, ray_derivatives: RayDerivatives | None
-    ) -> tuple[_BenchFit, GaussNewtonStep, Array]:
-        """Return estimates made in turn, each about the object on the bench of the one before.
-
-        Returns
-        -------
-        best : _BenchFit
-            The last object.
-        equations : GaussNewtonStep
-            The normal equations about it.
-        estimates : ndarray, shape (parameters,)
-            Their solution.
-        """
+    ) -> tuple[_BenchFit, GaussNewtonStep]:
+        """Return the object and its normal equations, each about the bench that the ones before estimate."""
         names = [p.name for p in self.parameters]
         # Number of times that estimates are made. On a dark ground, each may follow a displaced object.
         is_on_dark_ground = self._is_on_dark_ground(best)
         rounds = 4 if is_on_dark_ground else 2
         for count in range(rounds):
             self.on_stage("estimates", count, rounds)
-            equations, estimates = self._estimate(best, ray_derivatives)
+            equations = self._equations(best, ray_derivatives)
             if count == rounds - 1:
                 break
+            estimates = self._estimates(best, equations)
             refined = self._converged_fit_or_none(best.unknowns.changed(names, estimates.tolist()), best)
             if refined is None or refined.misfit > EQUAL_RATIO * best.misfit:
                 break
             best = self._at_better_position(refined, equations) if is_on_dark_ground else refined
-        return best, equations, estimates
+        return best, equations
 
     def _position_deviations(self, fit: _BenchFit, equations: GaussNewtonStep) -> Array | None:
         """Return how far trials leave the position of the object open, along x and y in samples.
@@ -404,9 +397,8 @@ class JointSearch:
 
         def fit(count: int) -> _BenchFit | None:
             """Return the fit without a number of parameters; None if its misfit is larger."""
-            values = selections[count].values.tolist()
-            found = self._converged_fit_or_none(best.unknowns.changed(names, values), best)
-            return found if found is not None and found.misfit**2 <= square + count * by_chance else None
+            unknowns = best.unknowns.changed(names, selections[count].values.tolist())
+            return self._fit_within(square + count * by_chance, unknowns, best)
 
         # The nominal bench comes first: small errors in stiff directions make a linear model ask for more.
         not_needed = count_not_needed(selections, covariance, self._pixel_count)
@@ -483,6 +475,35 @@ class JointSearch:
         """Return the bench with an object whose misfit has reached the noise or has converged."""
         return self._fit_bench(unknowns, start=start, iterations=CONVERGED_ITERATIONS)
 
+    def _fit_within(self, square: float, unknowns: Unknowns, start: _BenchFit) -> _BenchFit | None:
+        """Return the converged fit if its squared misfit is within a limit, else None.
+
+        Benches that are far from it after some iterations are given up.
+        """
+        # Those iterations, and the squared misfit over the limit from which a bench is given up.
+        first_iterations, hopeless = 10, 4.0
+        try:
+            fit = self._fit_bench(unknowns, start=start, iterations=first_iterations)
+            if fit.misfit**2 > hopeless * square:
+                return None
+            fit = fit if self.known is not None else self._continued_fit(fit)
+        except TransferLensError:
+            return None
+        return fit if fit.misfit**2 <= square else None
+
+    def _continued_fit(self, fit: _BenchFit) -> _BenchFit:
+        """Return the same bench with an object whose misfit has reached the noise or has converged."""
+        model, is_bounded = fit.linear.model, math.isfinite(fit.upper_bound)
+        found = self._object(
+            model,
+            model.illumination.with_values(fit.transmission),
+            CONVERGED_ITERATIONS,
+            scale=self.pixels.scale if is_bounded else model.scale,
+            until_noise=True,
+            bounded=is_bounded,
+        )
+        return self._on_bench(fit.unknowns, model, found, fit.upper_bound)
+
     def _is_on_dark_ground(self, fit: _BenchFit) -> bool:
         """Return whether only the aberrations of the lens tell where an amplitude object is."""
         if self.kind != "amplitude" or self.known is not None:
@@ -533,10 +554,8 @@ class JointSearch:
             return 0.0
         return lifted.linear.model.scale
 
-    def _estimate(
-        self, fit: _BenchFit, ray_derivatives: RayDerivatives | None
-    ) -> tuple[GaussNewtonStep, Array]:
-        """Return the normal equations about an object, without damping, and the estimates that solve them."""
+    def _equations(self, fit: _BenchFit, ray_derivatives: RayDerivatives | None) -> GaussNewtonStep:
+        """Return the normal equations about an object, without damping."""
         linear = fit.linear
         columns = self.pixels.columns(fit.unknowns, linear, self.parameters, ray_derivatives)
         # A misfit beyond the noise is a model error, which limits the information like noise.
@@ -546,15 +565,30 @@ class JointSearch:
             fit, self.parameters, columns, variance, linear.unbiased_residual()
         )
         equations.damping = np.zeros_like(equations.damping)
+        return equations
+
+    def _estimates(self, fit: _BenchFit, equations: GaussNewtonStep) -> Array:
+        """Return the estimates that conjugate gradients find."""
+
+        def step_of(is_free: NDArray[np.bool_], others: Array) -> Array:
+            left = equations if is_free.all() else equations.after(others).restricted(is_free)
+            return left.solve(ESTIMATE_ITERATIONS)
+
+        return self._within_range(fit, step_of)
+
+    def _within_range(self, fit: _BenchFit, step_of: Callable[[NDArray[np.bool_], Array], Array]) -> Array:
+        """Return the estimates, from a function that solves for free parameters beside steps of the others.
+
+        A parameter that would leave its range ends there, and moves the others.
+        """
         values = fit.unknowns.of([p.name for p in self.parameters])
-        estimates = values + equations.solve(ESTIMATE_ITERATIONS)
+        estimates = values + step_of(np.ones(len(values), bool), np.zeros(len(values)))
         lower_bounds = _lower_bounds(self.parameters)
         is_free = estimates >= lower_bounds
-        if not is_free.all():  # a parameter that would leave its range ends there, and moves the others
+        if not is_free.all():
             estimates = np.where(is_free, values, lower_bounds)
-            remaining = equations.after(estimates - values).restricted(is_free)
-            estimates[is_free] += remaining.solve(ESTIMATE_ITERATIONS)
-        return equations, estimates
+            estimates[is_free] += step_of(is_free, estimates - values)
+        return estimates
 
     def _verified(self, current: _BenchFit) -> _BenchFit:
         """Return the bench with tiles of its own, after as many iterations again."""

@@ -81,6 +81,23 @@ def test_what_an_object_undoes_is_solved_in_few_rounds(
     assert off[1] < 0.2 * off[0]
 
 
+@pytest.mark.parametrize("free", [(True, True, True, True), (True, False, True, False)])
+def test_effects_without_the_object_give_the_dense_step(
+    rng: np.random.Generator, free: tuple[bool, ...]
+) -> None:
+    """Also beside given steps of the others. The object, which is not at its optimum, moves to it."""
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    joint, chosen, steps = step_of(columns, linear), np.array(free), np.array([0.3, -0.1, 0.2, 0.4])
+    basis, _ = np.linalg.qr(linear.matrix)
+    left = columns - (columns @ basis) @ basis.T
+    precision = VARIANCE / TYPICAL**2
+    normal, right = left @ left.T + np.diag(precision), left @ linear.residual - precision * VALUES
+    right = right - normal[:, ~chosen] @ steps[~chosen]
+    exact = np.linalg.solve(normal[np.ix_(chosen, chosen)], right[chosen])
+    found = joint.step_of_effects(joint.eliminated(20).columns, chosen, steps)
+    assert found == pytest.approx(exact, rel=1e-6)
+
+
 def eliminated(columns: NDArray[Any], linear: Dense) -> NDArray[Any]:
     """Return the exact curvature of the parameters with the object eliminated."""
     basis, _ = np.linalg.qr(linear.matrix)
