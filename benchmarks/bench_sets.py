@@ -33,15 +33,14 @@ def main() -> None:
 
 def _rows(folder: Path) -> list[Row]:
     about = json.loads((folder / "set.json").read_text())
-    own = folder.with_suffix(".toml")
-    lens = load_design(own if own.exists() else folder.parent / "nominal.toml")
+    lens = load_design(design_of(folder))
     frames = read_frames([folder / name for name in about["files"]], lens=lens)
     kind = about.get("kind", "amplitude")
     settings = ReconstructionSettings(kind=kind, patch_mm=about["patch_mm"])
-    true = _true_object(folder, lit_patch(lens, settings)[0])
+    true = true_object(folder, lit_patch(lens, settings)[0])
     before = reconstruct_frames(lens, frames, settings, truth=true)
     wall, cpu = time.perf_counter(), time.process_time()
-    found = calibrate_frames(lens, frames, kind=kind, patch_mm=about["patch_mm"], assess=False)
+    found = calibrate_frames(lens, frames, kind=kind, patch_mm=about["patch_mm"], verdict="none")
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     if found.field_stop_from == "frames":
         settings = settings.with_stop(*found.field_stop)
@@ -60,7 +59,14 @@ def _rows(folder: Path) -> list[Row]:
     ]
 
 
-def _true_object(folder: Path, patch: Patch) -> Field:
+def design_of(folder: Path) -> Path:
+    """Return the file of the design that a lab believes it has."""
+    own = folder.with_suffix(".toml")
+    return own if own.exists() else folder.parent / "nominal.toml"
+
+
+def true_object(folder: Path, patch: Patch) -> Field:
+    """Return the object of the frames in a folder."""
     path = folder / "truth.npz"
     if not path.exists():
         return read_object(folder, patch)

@@ -163,7 +163,7 @@ def _calibration_rows(case: Case, lens: Lens) -> list[Row]:
             parameters="decenter_x_mm,decenter_y_mm",
             most_mountings=10,
             bandwidth_nm=bandwidth,
-            assess=False,
+            verdict="none",
         )
         seconds = time.process_time() - before
         found = _reconstructed(case, lens, frames, taken, calibration=bench.state)

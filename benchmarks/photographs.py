@@ -101,7 +101,7 @@ def measure(lens: Lens, name: str, seed: int, kind: str) -> Outcome:
             **SETTINGS,
         ).frames
         settings = {"kind": kind, "patch_mm": PATCH_MM, "error": SETTINGS["error"]}
-        found = calibrate_frames(lens, frames, assess=False, **settings)
+        found = calibrate_frames(lens, frames, verdict="none", **settings)
         again = reconstruct_frames(lens, frames, truth=true, calibration=found.state, **settings)
     assert found.object_uncertainty is not None
     truth, judged = again.truth, replace(again.verdict, bench=found.object_uncertainty.summary)

@@ -205,7 +205,7 @@ def reached(case: Case) -> dict[str, Any]:
     light = independent_intensities(lens, patch, behind, planes, engine=case.engine, error=error, **bench)
     frames = independent_frames(lens, patch.wavelength_um, planes, light, exposures=case.exposures, seed=SEED)
     settings: dict[str, Any] = {"kind": case.kind, "patch_mm": case.patch_mm, "field_stop_mm": case.stop_mm}
-    state = calibrate_frames(lens, frames, assess=False, **settings).state if case.off else None
+    state = calibrate_frames(lens, frames, verdict="none", **settings).state if case.off else None
     found = reconstruct_frames(lens, frames, truth=true, calibration=state, **settings)
     return {
         "reached": found.truth["object_correlation"],

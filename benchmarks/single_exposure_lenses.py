@@ -158,7 +158,7 @@ def measured(case: Case, scale: float = 1.0, seed: int = 5) -> list[Row]:
         frame, chart_frame = (recorded_frame(lens, one, case.light, seed) for one in (true, chart))
         settings: dict[str, Any] = {"patch_mm": field_mm, "field_stop_mm": field_mm}
         settings |= {"engine": "eikonal", "error": ENGINE_ERROR} | case.light
-        state = calibrate_frames(lens, (chart_frame,), known=chart, assess=False, **settings).state
+        state = calibrate_frames(lens, (chart_frame,), known=chart, **settings).state
         settings["kind"] = case.kind
         found = reconstruct_frames(lens, (frame,), truth=true, calibration=state, **settings)
     print(f"verdict: {found.verdict.words}")

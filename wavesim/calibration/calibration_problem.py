@@ -66,6 +66,8 @@ IGNORED_SETTINGS = {
     "most_mountings",
     "source_deg",
     "bandwidth_nm",
+    "verdict",
+    "deviations",
 }
 """Settings that do not affect a search, or that affect it only through the light or its source."""
 
@@ -279,6 +281,7 @@ def search_bench(
         run.save,
         lambda stage, completed, total: progress(f"{what}: {stage}", completed, total),
         absorbed,
+        has_deviations=settings.deviations or known is not None,
     )
     try:
         with one_blas_thread():
@@ -294,7 +297,7 @@ def search_bench(
         state=found.unknowns.state,
         parameters=run.names,
         values=tuple(found.estimates.tolist()),
-        deviations=tuple(found.deviations.tolist()),
+        deviations=None if found.deviations is None else tuple(found.deviations.tolist()),
         typical=tuple(p.typical for p in parameters),
         misfit_before=found.trail[0][1],
         misfit=found.misfit,
@@ -303,7 +306,9 @@ def search_bench(
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
         covariance=found.covariance,
-        correlated_with=correlated_parameters(run.names, found.covariance),
+        correlated_with=(
+            {} if found.covariance is None else correlated_parameters(run.names, found.covariance)
+        ),
         nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
         undetermined=problem.undetermined if known is None else (),
         applied=dict(zip(run.names, found.unknowns.of(run.names).tolist(), strict=True)),

@@ -54,10 +54,11 @@ class Calibrated:
     values : tuple of float
         Estimate of each parameter.
     deviations : tuple of float or None
-        Standard deviation of each estimate, with the prior included; None for a known object.
+        Standard deviation of each estimate, with the prior included; None for a known object, and where they
+        were not requested.
     covariance : ndarray of shape (n, n), or None
-        Covariance of the estimates, with the prior included. It is None for a known object, and where frames
-        without an object determined the light.
+        Covariance of the estimates, with the prior included. It is also None where frames without an object
+        determined the light.
     typical : tuple of float or None
         Expected standard deviation of each parameter (prior).
     misfit_before, misfit : float
@@ -178,6 +179,11 @@ class Calibrated:
         """
         if self.field_stop_from != "frames" or self.field_stop_mm is None:
             return ""
+        if self.deviations is None and set(STOP_SHIFTS) & set(self.parameters):
+            return (
+                "how well the frames determine the common position of field stop and object is not known, "
+                "since standard deviations were not requested; residuals do not show a displacement"
+            )
         deviations_um = [
             1e3 * deviation
             for name, deviation in zip(self.parameters, self.deviations or (), strict=False)

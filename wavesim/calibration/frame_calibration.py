@@ -89,7 +89,6 @@ def calibrate_frames(
     priors: Mapping[str, float] | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
-    assess: bool = True,
     on_found: Callable[[Calibrated], None] | None = None,
     **changes: Any,
 ) -> Calibrated:
@@ -98,6 +97,9 @@ def calibrate_frames(
     The search finds the bench whose model agrees best with the frames. Without a known object, each trial
     bench includes a short reconstruction of the object. Frames of a known object determine the mounting
     only.
+
+    The verdict is that of a reconstruction on the calibrated bench, by :func:`wavesim.reconstruct_frames`
+    with the same settings. With a known object it needs no reconstruction.
 
     Parameters
     ----------
@@ -119,9 +121,6 @@ def calibrate_frames(
         Folder of the checkpoint; the same call continues an interrupted search.
     progress
         Callback `progress(stage, completed, total)`. It counts the benches that were tried.
-    assess
-        Whether to reconstruct the object on the calibrated bench, by :func:`wavesim.reconstruct_frames` with
-        the same settings, and to state the verdict. With a known object the verdict needs no reconstruction.
     on_found
         Callback `on_found(found)` with the bench, called when the search ends and before the reconstruction
         for the verdict.
@@ -157,12 +156,16 @@ def calibrate_frames(
     ...     lens, "star", patch_mm=0.03, planes_mm=(0.03,), engine="eikonal", error=0.1, decenter_x_mm=0.005
     ... )
     >>> search = {"parameters": "decenter_x_mm,decenter_y_mm", "kind": "amplitude", "iterations": 3}
-    >>> found = calibrate_frames(lens, taken.frames, patch_mm=0.03, error=0.1, assess=False, **search)
+    >>> found = calibrate_frames(lens, taken.frames, patch_mm=0.03, error=0.1, verdict="none", **search)
     >>> dict(zip(found.parameters, (round(value, 3) + 0.0 for value in found.values)))
     {'decenter_x_mm': 0.005, 'decenter_y_mm': 0.0}
     """
     requested = (settings or CalibrationSettings()).replaced(**changes)
     validate_frames(lens, frames, requested)
+    if empty is not None and not requested.deviations:
+        raise SettingError(
+            "{deviations}: must be computed with {empty}, whose deviations are part of the result"
+        )
     progress = progress or (lambda what, done, count: None)
     if known is not None:
         if empty is not None or priors is not None:
@@ -174,7 +177,7 @@ def calibrate_frames(
     else:
         found, settings = _calibrated(lens, frames, requested, empty, priors, folder, progress)
     found = replace(found, evidence_key=_evidence_key(lens, frames, settings))
-    if not assess:
+    if requested.verdict == "none":
         return found
     if on_found is not None:
         on_found(found)
@@ -291,7 +294,10 @@ def _source_checkpoint(
     if folder is None:
         return None
     light = patch_of_frames(lens, frames, requested).light
-    statement = requested.model_dump_json(), str(sorted((priors or {}).items()))
+    statement = (
+        requested.model_dump_json(exclude={"verdict", "deviations"}),
+        str(sorted((priors or {}).items())),
+    )
     key = key_of_frames(lens, (*frames, *(empty or ())), light, *statement)
     return Checkpoint(folder / SOURCE_CHECKPOINT, key)
 

@@ -68,8 +68,10 @@ def calibrate(
     reads (`wavesim reconstruct --calibration FILE`).
     The verdict is that of a reconstruction on this bench, whose object is written, too. A reconstruction of
     the same frames with the same settings uses it. The exit status is 0 if the frames are explained within
-    their noise, and 1 if they are not, or if an interrupt has ended the run before the verdict. After an
-    interrupt, repeat the command to continue.
+    their noise, and 1 if they are not, or if they were not judged: with --verdict none, or where an
+    interrupt has ended the run before the verdict. After an interrupt, repeat the command to continue.
+
+    Verdict and standard deviations take half of the time. --verdict none and --no-deviations omit them.
 
     Example: wavesim calibrate frames/*.tif --design lens.toml -o bench
     """
@@ -114,11 +116,12 @@ def calibrate(
             if not searched:
                 raise
             found = searched[0]
-    is_judged = found.verdict is not None or not searched
+    is_complete = found.verdict is not None or not searched
+    is_without_verdict = found.verdict is None and settings.verdict == "none"
     messages = warning_messages(caught)
     print_warnings(messages)
     summary = write_calibration(found, frames, pictures, extra | {"warnings": messages}, output)
-    if is_judged:
+    if is_complete:
         for name in SEARCH_CHECKPOINTS:
             with suppress(OSError):  # A left-over checkpoint does no harm.
                 (output / name).unlink(missing_ok=True)
@@ -126,9 +129,12 @@ def calibrate(
         print_json(summary)
     else:
         print_calibration(found, summary, output)
-        if not is_judged:
+        if not is_complete:
             print(f"verdict: not judged: interrupted after the search; {ADVICE['not judged']}")
-    raise typer.Exit(0 if is_judged and found.explained is not False else 1)
+        elif is_without_verdict:
+            print("verdict: not judged: --verdict none; `wavesim reconstruct --calibration` judges the bench")
+    is_trusted = is_complete and not is_without_verdict and found.explained is not False
+    raise typer.Exit(0 if is_trusted else 1)
 
 
 def write_calibration(
@@ -177,6 +183,8 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
         rows.append((name, f"{value:.5f}", "" if deviation is None else f"{deviation:.2g}", "; ".join(notes)))
     heads = "estimate", "standard deviation"
     print_table(("deviation from the design",), heads, rows, notes="")
+    if found.deviations is None and found.typical is not None:
+        print("standard deviations: not computed (--no-deviations); each parameter has its estimate")
     if found.undetermined:
         print(
             "not sought, kept nominal: " + ", ".join(found.undetermined) + ": a complex object can have the "

@@ -97,10 +97,11 @@ def reconstruct(
 ) -> None:
     """Reconstruct the object from frames: amplitude, phase, residuals, focus, and goodness of fit.
 
-    The exit status is 0 if the frames are explained within their noise, and 1 if they are not. In the second
-    case the most likely causes are tested and named. After an interrupt, repeat the command to continue from
-    the last checkpoint; with --layers-um or --free-space it starts from the beginning. An interrupt during
-    these tests keeps the object, which is then not judged: the exit status is 1.
+    The exit status is 0 if the frames are explained within their noise, and 1 if they are not, or if they
+    were not judged (--verdict none). Where they are not explained, the most likely causes are tested and
+    named. A quick verdict rests on the residuals alone. After an interrupt, repeat the command to continue
+    from the last checkpoint; with --layers-um or --free-space it starts from the beginning. An interrupt
+    during these tests keeps the object, which is then not judged: the exit status is 1.
 
     Example: wavesim reconstruct frames/*.tif --design lens.toml -o object
     """
@@ -247,7 +248,8 @@ def _calibrated(
     from wavesim.calibration.frame_calibration import calibrate_empty, calibrate_frames, validate_same_frames
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
-    sought = CalibrationSettings(**given | {"kind": settings.kind})
+    # The reconstruction that follows is judged.
+    sought = CalibrationSettings(**given | {"kind": settings.kind, "verdict": "none"})
     with progress() as on_progress:
         if calibrates or empty is None:
             return calibrate_frames(
@@ -258,7 +260,6 @@ def _calibrated(
                 priors=priors,
                 folder=output,
                 progress=on_progress,
-                assess=False,  # the reconstruction that follows is
             )
         validate_same_frames(empty, frames)
         start = SystemState(settings.pose) if bench is None else bench.state

@@ -227,6 +227,8 @@ class GoodnessOfFit:
         is assumed about the object's structure; None if it was not computed.
     bench : BenchUncertainty or None
         What the uncertainty of a calibrated bench leaves; None without a calibration.
+    untested : tuple of str
+        What was not tested, in words.
     """
 
     explained: bool
@@ -246,6 +248,7 @@ class GoodnessOfFit:
     judged: bool = True
     noise_correlation: float | None = None
     bench: BenchUncertainty | None = None
+    untested: tuple[str, ...] = ()
 
     @property
     def least_correlation(self) -> float | None:
@@ -279,16 +282,17 @@ class GoodnessOfFit:
         if not self.judged:
             return f"not judged: {self.evidence}; {size}. Next: {self.next_step}"
         if self.explained:
-            return f"explained within the noise: {size}{self._contributions}{self._not_excluded}"
+            more = f"{self._contributions}{self._not_excluded}{self._not_tested}"
+            return f"explained within the noise: {size}{more}"
         if self.within:
-            return f"not to be trusted: {size}, but {self.evidence}. Next: {self.next_step}"
+            return f"not to be trusted: {size}, but {self.evidence}{self._not_tested}. Next: {self.next_step}"
         worst = self.planes[self.worst_plane]
         x, y, width, height = worst.region_px
         return (
             f"not explained: {size}; most on the plane at "
             f"{worst.distance_mm:g} mm, {worst.region_over_noise:.3g} times in the {width} x {height} pixels "
-            f"from {x}, {y} on. Most likely: {self.cause} ({self.evidence}){self._other_finding}. Next: "
-            f"{self.next_step}"
+            f"from {x}, {y} on. Most likely: {self.cause} ({self.evidence}){self._other_finding}"
+            f"{self._not_tested}. Next: {self.next_step}"
         )
 
     @property
@@ -301,6 +305,10 @@ class GoodnessOfFit:
         """The strongest finding, if it is not the cause."""
         others = [one for one in self.findings if one.explanation != self.evidence]
         return f"; also: {others[0].explanation}" if others else ""
+
+    @property
+    def _not_tested(self) -> str:
+        return f". Not tested: {', '.join(self.untested)}" if self.untested else ""
 
     @property
     def _contributions(self) -> str:
@@ -361,16 +369,20 @@ def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
     )
 
 
-def not_judged(residuals_judged: GoodnessOfFit) -> GoodnessOfFit:
-    """Return the verdict of a run that ended before the tests of its result: sizes of residuals alone.
+def not_judged(residuals_judged: GoodnessOfFit, *, on_request: bool = False) -> GoodnessOfFit:
+    """Return the verdict of a result that was not tested: sizes of residuals alone.
 
     Parameters
     ----------
     residuals_judged
         Verdict by the residuals, without tests.
+    on_request
+        Whether no verdict was requested. Otherwise the run ended before the tests of its result.
     """
-    cause = "not judged"
+    cause = "not requested" if on_request else "not judged"
     evidence = "the run ended after the search and before the tests of the result"
+    if on_request:
+        evidence = "no verdict was requested"
     return replace(
         residuals_judged,
         explained=False,

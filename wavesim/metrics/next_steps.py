@@ -26,6 +26,7 @@ ADVICE = {
     "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the "
     "object, tilted light and a shifted plane give the same frames",
     "not judged": "run the same command again to judge the result",
+    "not requested": "run the same command without --verdict none to judge the result",
     "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted",
 }
 

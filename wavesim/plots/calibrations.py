@@ -26,7 +26,7 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
     noise
         Misfit that noise alone causes, drawn as a dashed line.
     """
-    if found.deviations is not None and found.typical is not None:
+    if found.typical is not None:
         figure = styled_figure(8.0, 2.8 + 0.26 * len(found.parameters))
         above, below = figure.subplots(2, height_ratios=[1.0, 0.12 * len(found.parameters) + 0.2])
         _draw_misfits(above, found, noise)
@@ -68,19 +68,18 @@ def _draw_misfits(axes: Axes, found: Calibrated, noise: float | None) -> None:
 
 def _draw_values(axes: Axes, found: Calibrated) -> None:
     """Draw each parameter over its typical size, with its standard deviation; grey if undetermined."""
-    assert found.deviations is not None
     assert found.typical is not None
     rows = np.arange(len(found.parameters))[::-1]
-    typical = np.array(found.typical)
+    typical, deviations = np.array(found.typical), found.deviations or (None,) * len(rows)
     for row, name, value, deviation, usual in zip(
-        rows, found.parameters, found.values, found.deviations, typical, strict=True
+        rows, found.parameters, found.values, deviations, typical, strict=True
     ):
         color = GREY if name in found.poorly_determined else ORANGE
-        axes.errorbar(
-            value / usual, row, xerr=deviation / usual, fmt="o", ms=3.5, lw=1.0, capsize=2, color=color
-        )
+        bar = None if deviation is None else deviation / usual
+        axes.errorbar(value / usual, row, xerr=bar, fmt="o", ms=3.5, lw=1.0, capsize=2, color=color)
         _, unit, factor = _label_and_unit(name)
-        text = number_with_unit(f"{factor * value:.3g} ± {factor * deviation:.2g}", unit)
+        uncertainty = "" if deviation is None else f" ± {factor * deviation:.2g}"
+        text = number_with_unit(f"{factor * value:.3g}{uncertainty}", unit)
         axes.annotate(
             text, (1.0, row), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
             va="center", fontsize=7.5, color=color, annotation_clip=False,
@@ -88,9 +87,8 @@ def _draw_values(axes: Axes, found: Calibrated) -> None:
     axes.set_yticks(rows, [_label_and_unit(name)[0] for name in found.parameters], fontsize=7.5)
     axes.set_ylim(-0.7, len(rows) - 0.3)
     axes.axvline(0.0, color="black", lw=0.6)
-    axes.set_xlabel(
-        "value / typical size; error bars: standard deviation; grey: not determined by the frames"
-    )
+    bars = "; error bars: standard deviation; grey: not determined by the frames"
+    axes.set_xlabel("value / typical size" + bars * (found.deviations is not None))
     axes.grid(True)
 
 

@@ -56,6 +56,9 @@ because predicted errors are upper bounds, which fall by less than errors do. Th
 `FINEST`, the error of pixels and free space.
 """
 
+OTHER_BENCHES, TRUE_CORRELATION = "other benches", "correlation with the true object"
+"""Tests that a verdict may lack, in words."""
+
 Progress = Callable[[str], None]
 """Callback with a message about the current step."""
 
@@ -97,9 +100,12 @@ class MethodResult(NamedTuple):
     model_error: float = MODEL_ERROR
 
 
-def unjudged_result(case: ReconstructionProblem, found: MethodResult) -> GoodnessOfFit:
-    """Return the sizes of the residuals, before the result is judged."""
-    return not_judged(verdict(plane_residuals(case, found.residual_maps, ()), rounding=case.rounding))
+def unjudged_result(
+    case: ReconstructionProblem, found: MethodResult, *, on_request: bool = False
+) -> GoodnessOfFit:
+    """Return the sizes of the residuals of a result that is not judged, or not yet."""
+    residuals = plane_residuals(case, found.residual_maps, ())
+    return not_judged(verdict(residuals, rounding=case.rounding), on_request=on_request)
 
 
 def judge_result(
@@ -111,8 +117,11 @@ def judge_result(
 ) -> GoodnessOfFit:
     """Return whether the planes are explained.
 
-    Where they are not, possible causes are tried, except on a whole field.
+    Where they are not, possible causes are tried, except on a whole field or for a quick verdict, which
+    rests on the residuals alone.
     """
+    if settings.verdict == "none":
+        return unjudged_result(case, found, on_request=True)
     residuals, curve = plane_residuals(case, found.residual_maps, found.engine_errors), found.curve
     known = [
         (plane, error)
@@ -126,8 +135,9 @@ def judge_result(
         trials: Sequence[Trial] = (),
         undetected: Sequence[Undetected] = (),
         noise_correlation: float | None = None,
+        untested: Sequence[str] = (),
     ) -> GoodnessOfFit:
-        return verdict(
+        found_verdict = verdict(
             residuals,
             trials,
             curve,
@@ -139,10 +149,12 @@ def judge_result(
             rounding=case.rounding,
             noise_correlation=noise_correlation,
         )
+        return replace(found_verdict, untested=tuple(untested))
 
     first = judged()
+    without_tests = (OTHER_BENCHES, TRUE_CORRELATION) if first.within else ("causes",)
     if settings.method == "paper" or isinstance(case.engine, Tiled):
-        return first
+        return judged(untested=without_tests)
     if settings.kind == "complex" and found.whole is not None:
         findings += _ramp(found.whole)
         # Diversity of the planes below which their pictures do not determine a complex object.
@@ -160,15 +172,23 @@ def judge_result(
     early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < near_limit * LIMIT)
     if early:
         return judged()
+    if settings.verdict == "quick":
+        has_little_diversity = len(given) > 1 and case.diversity < LEAST_DIVERSITY
+        starts = ("other starts",) if has_little_diversity and settings.starts == 1 else ()
+        return judged(untested=(*without_tests, *starts))
     with engine_on(case.light.grid) as engine:
         trials, undetected = list[Trial](), tuple[Undetected, ...]()
-        noise_correlation = None
+        noise_correlation, untested = None, list[str]()
         if first.within and (first.held_out_over_noise or 0.0) <= LIMITED_BY_NOISE:
             noise_correlation = _noise_correlation(case, settings, engine, found, residuals)
-        if first.within and found.whole is not None and not case.modes[1:]:
+        if first.within and case.modes[1:]:
+            untested.append(f"{OTHER_BENCHES}, since the light has several modes")
+        elif first.within and found.whole is not None:
             progress("score test of the bench")
             test = _score_test(case, settings, engine, found, progress)
-            if test is not None:
+            if test is None:
+                untested.append(f"{OTHER_BENCHES}, since the engine does not allow small displacements")
+            else:
                 undetected = test.undetected
                 if test.is_preferred:
                     findings.append(Finding(test.cause, test.explanation, test.chi_square))
@@ -189,7 +209,7 @@ def judge_result(
                 stop=FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
                 misfit_of_result=curve[-1],
             ).trials()
-    return judged(trials, undetected, noise_correlation)
+    return judged(trials, undetected, noise_correlation, untested)
 
 
 def _noise_correlation(
@@ -418,7 +438,7 @@ def starts_needed(
     """Return settings with a second start if iterations converged but the planes may not determine the
     object.
     """
-    if settings.starts > 1 or isinstance(case.engine, Tiled):
+    if settings.starts > 1 or isinstance(case.engine, Tiled) or settings.verdict != "full":
         return settings
     if case.diversity >= LEAST_DIVERSITY or found.stopped_because == "iterations":
         return settings

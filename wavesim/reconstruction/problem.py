@@ -460,7 +460,7 @@ def _key_of_result(
     key: str, settings: ReconstructionSettings, state: SystemState | None, sought: frozenset[str]
 ) -> str:
     """Return the digest of all inputs of a result: those of its iterations, and those that follow them."""
-    names = {"starts", "region_mm", "refocus_mm", "engine", "error"}
+    names = {"starts", "region_mm", "refocus_mm", "engine", "error", "verdict"}
     bench = "" if state is None else json.dumps(state_table(state), sort_keys=True)
     return key_of(
         key, settings.model_dump_json(include=names), bench, str(sorted(sought)), version("transferlens")

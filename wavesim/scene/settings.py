@@ -137,6 +137,7 @@ Points = Annotated[
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
 Kind = Literal["complex", "amplitude", "phase"]
+Verdict = Literal["full", "quick", "none"]
 StopOrigin = Literal["patch", "stated", "frames", "calibration"]
 """Where a field stop comes from: the patch's sides, settings, the frames, or an earlier calibration."""
 
@@ -666,6 +667,12 @@ class FramedSettings(EngineSettings, PatchSettings):
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
 
+    verdict: Verdict = Field(
+        "full",
+        description="Tests of the result: full, quick (residuals alone), or none.",
+        json_schema_extra={"group": OptionGroup.EVALUATION},
+    )
+
     @field_validator("source_deg", "bandwidth_nm")
     @classmethod
     def _width_within_limits(cls, width: float | str | None, info: ValidationInfo) -> float | str | None:
@@ -1048,4 +1055,9 @@ class CalibrationSettings(FramedSettings):
         0.0,
         description="Centre of rotation, from the front vertex.",
         json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
+    )
+    deviations: bool = Field(
+        True,
+        description="State standard deviations; return parameters that are not needed to nominal.",
+        json_schema_extra={"group": OptionGroup.EVALUATION},
     )

@@ -36,7 +36,7 @@ def test_the_memory_of_all_modes_of_the_light_counts(monkeypatch: pytest.MonkeyP
     problem = CalibrationProblem(lens, frames, settings)
     (plane,), samples = problem.pixels.recorded, problem.framed.patch.grid.size
     limit = 4 * (plane.amplitude.size * (7 + 12 * 6) + 4 * samples)
-    calls: dict[str, Any] = {"settings": settings, "assess": False}
+    calls: dict[str, Any] = {"settings": settings, "verdict": "none"}
     monkeypatch.setattr(calibration_problem, "memory_limit", lambda stated: limit)
     calibrate_frames(lens, frames, **calls)
     monkeypatch.setattr(calibration_problem, "memory_limit", lambda stated: limit - 1)

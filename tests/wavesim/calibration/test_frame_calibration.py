@@ -177,7 +177,7 @@ def test_a_camera_s_nonlinearity_and_the_exposures_of_planes_are_found(lens: Len
     frames = image(lens, "star", exposures=(1.0, 30.0), pixels=140, **tiles, **errors).frames
     names = "plane_2_exposure_error,nonlinearity,plane_2_background"
     found = calibrate_frames(
-        lens, frames, kind="amplitude", parameters=names, most_mountings=8, assess=False, **tiles
+        lens, frames, kind="amplitude", parameters=names, most_mountings=8, verdict="none", **tiles
     )
     assert found.deviations is not None
     assert found.misfit_of_noise is not None
@@ -200,7 +200,7 @@ def test_a_grey_object_leaves_the_unevenness_of_the_light_open() -> None:
     options = {"engine": "eikonal", "error": 0.1, "exposures": (1.0, 30.0)}
     frames = image(lens, thing, field_stop_mm=side_mm, seed=1, **options).frames
     settings = {"kind": "amplitude", "error": 0.1, "parameters": "light,mounting"}
-    found = calibrate_frames(lens, frames, assess=False, patch_mm=side_mm, **settings)
+    found = calibrate_frames(lens, frames, verdict="none", patch_mm=side_mm, **settings)
     estimates = zip(found.parameters, found.values, found.deviations, strict=True)
     for name, value, deviation in estimates:
         if name.startswith("light_amplitude"):
@@ -236,7 +236,7 @@ def test_an_object_on_a_dark_ground_is_found_where_it_is(lens: Lens) -> None:
     frames = image(lens, thing, field_stop_mm=side_mm, seed=1, state=bench, **options).frames
     sought = ",".join([*truth, "plane_2_shift_x_um", "plane_2_shift_y_um"])
     settings = {"kind": "amplitude", "error": 0.1, "parameters": sought}
-    found = calibrate_frames(lens, frames, assess=False, patch_mm=side_mm, **settings)
+    found = calibrate_frames(lens, frames, verdict="none", patch_mm=side_mm, **settings)
     for name, value, deviation in zip(found.parameters, found.values, found.deviations, strict=True):
         assert abs(value - truth.get(name, 0.0)) < 3.0 * deviation, name
     assert found.object_uncertainty is not None
@@ -296,7 +296,7 @@ def test_bench_and_bandwidth_are_found_in_turn() -> None:
         lens, "star", planes_mm=(0.03, 0.3), exposures=(1.0, 30.0), engine="eikonal", **patch, **truth
     )
     search = {"parameters": "decenter_x_mm", "kind": "amplitude", "iterations": 3, "most_mountings": 6}
-    found = calibrate_frames(lens, taken.frames, bandwidth_nm="find", assess=False, **patch, **search)
+    found = calibrate_frames(lens, taken.frames, bandwidth_nm="find", verdict="none", **patch, **search)
     assert found.state.source.bandwidth_nm == pytest.approx(30.0, rel=0.1)
     assert found.state.pose.decenter_x_mm == pytest.approx(0.004, abs=5e-4)
     assert 0.0 < found.source_deviations["bandwidth_nm"] < 3.0
@@ -323,7 +323,7 @@ def test_a_field_stop_is_sought_in_the_light_of_the_source(monkeypatch: pytest.M
 
     monkeypatch.setattr(StopSearch, "run", run)
     search = {"parameters": "decenter_x_mm", "kind": "amplitude", "iterations": 1, "most_mountings": 1}
-    calibrate_frames(lens, taken.frames, source_deg=1.3, field_stop="find", assess=False, **patch, **search)
+    calibrate_frames(lens, taken.frames, source_deg=1.3, field_stop="find", verdict="none", **patch, **search)
     in_its_light, in_coherent_light = misfits
     assert in_its_light < 0.8 * in_coherent_light
 
@@ -335,7 +335,7 @@ QUICK_SEARCH: dict[str, Any] = {
     "most_mountings": 2,
     "patch_mm": 0.03,
     "error": 0.1,
-    "assess": False,
+    "verdict": "none",
 }
 
 

@@ -16,6 +16,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration import calibration_problem, frame_calibration
 from wavesim.calibration.calibration_result import field_stop_of, read_calibration
+from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.plots import calibrations
@@ -173,6 +174,47 @@ def test_an_interrupt_after_the_search_keeps_the_bench(
     stored = json.loads((tmp_path / "calibration.json").read_text())
     assert (stored["verdict"], stored["explained"]) == (None, None)
     assert list(stored["values"]) == ["decenter_x_mm"]
+
+
+def test_a_bench_without_verdict_and_deviations_is_the_same(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+) -> None:
+    """Estimates are as good; it says what it does not know, and the picture of the bench is drawn."""
+    command = (*frames_and_design(data), "--kind", "amplitude", "--iterations", 3, "--max-mountings", 3)
+    command = (*command, "--parameters", "decenter_x_mm,tilt_y_deg")
+    code, _, err = wavesim("calibrate", *command, "--verdict", "none", "-o", tmp_path / "with")
+    assert code == 1, err
+
+    def unexpected(*_: object, **__: object) -> None:
+        raise AssertionError("must not be computed")
+
+    monkeypatch.setattr(frame_calibration, "reconstruct_frames", unexpected)
+    monkeypatch.setattr(GaussNewtonStep, "eliminated", unexpected)
+    options = "--verdict", "none", "--no-deviations"
+    code, out, err = wavesim("calibrate", *command, *options, "-o", tmp_path / "without")
+    assert code == 1, err
+    assert "standard deviations: not computed (--no-deviations)" in out
+    assert "verdict: not judged: --verdict none" in out
+    whole, less = (
+        json.loads((tmp_path / name / "calibration.json").read_text()) for name in ("with", "without")
+    )
+    assert (less["verdict"], less["explained"], less["sought"]) == (None, None, [])
+    for name, deviation in whole["deviations"].items():
+        assert less["deviations"][name] is None
+        assert less["values"][name] == pytest.approx(whole["values"][name], abs=deviation)
+    assert (tmp_path / "without" / "calibration.png").stat().st_size > 0
+
+
+def test_deviations_are_needed_for_frames_without_an_object(
+    wavesim: Command, data: Path, tmp_path: Path
+) -> None:
+    frames = frames_and_design(data)
+    code, out, err = wavesim(
+        "calibrate", *frames, "--empty", data / "frame_1.tif", "--no-deviations", "-o", tmp_path / "out"
+    )
+    assert (code, out) == (2, "")
+    assert "--deviations: must be computed with --empty" in " ".join(err.split())
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.usefixtures("quick_verdicts")

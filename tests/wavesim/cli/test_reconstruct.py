@@ -15,7 +15,7 @@ from quick_verdicts import judge_quickly
 from wavesim_command import ENDED, PIXELS, PLANES_MM, frames_and_design
 
 from wavesim.forward import forward_model
-from wavesim.reconstruction import frame_reconstruction, phase_retrieval, resumable
+from wavesim.reconstruction import assessment, frame_reconstruction, phase_retrieval, resumable
 from wavesim.reconstruction import object_solver as reconstruction
 from wavesim.sensor.frames import Frame, read_frame, write_frame
 
@@ -139,6 +139,55 @@ def test_an_interrupt_during_the_verdict_keeps_the_object(
     assert judged["verdict"]["judged"] is True
     assert [Path(path).name for path in judged["files"]] == stored["files"] == judged["files"]
     np.testing.assert_array_equal(np.load(out / "reconstruction.npz")["values"], first)
+
+
+@pytest.mark.parametrize(
+    ("level", "status", "words"),
+    [
+        ("quick", 0, "Not tested: other benches, correlation with the true object"),
+        ("none", 1, "verdict: not judged: no verdict was requested"),
+    ],
+)
+def test_a_smaller_verdict_says_what_was_not_tested_and_keeps_the_object(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path, level: str, status: int,
+    words: str,
+) -> None:  # fmt: skip
+    """Neither makes an engine for its tests, and the object is that of a full verdict."""
+    options = (*usual(data), "--kind", "amplitude", "--iterations", 15)
+    code, whole, err = wavesim("reconstruct", *options, "-o", tmp_path / "whole")
+    assert code == 0, err
+    assert "Not tested" not in whole
+
+    def unexpected(*_: object, **__: object) -> None:
+        raise AssertionError("must not be tested")
+
+    monkeypatch.setattr(assessment, "_score_test", unexpected)
+    monkeypatch.setattr(assessment, "_noise_correlation", unexpected)
+    code, out, err = wavesim("reconstruct", *options, "--verdict", level, "-o", tmp_path / "out")
+    assert code == status, err
+    assert words in " ".join(out.split())
+    objects = (np.load(tmp_path / name / "reconstruction.npz")["values"] for name in ("whole", "out"))
+    np.testing.assert_array_equal(*objects)
+    verdicts = (
+        json.loads((tmp_path / name / "reconstruction.json").read_text())["verdict"]
+        for name in ("whole", "out")
+    )
+    full, less = verdicts
+    assert less["over_noise"] == full["over_noise"]
+    assert (less["judged"], less["explained"]) == (status == 0, status == 0)
+
+
+def test_a_quick_verdict_names_causes_that_were_not_tried(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+) -> None:
+    def unexpected(*_: object, **__: object) -> None:
+        raise AssertionError("must not be tried")
+
+    monkeypatch.setattr(assessment, "CauseTrials", unexpected)
+    options = (*usual(data), "--kind", "amplitude", "--iterations", 15, "--decenter-x-mm", 0.004)
+    code, out, err = wavesim("reconstruct", *options, "--verdict", "quick", "-o", tmp_path / "out")
+    assert code == 1, err
+    assert "Not tested: causes" in " ".join(out.split())
 
 
 def changed(frame: Frame, path: Path, counts: Any = None, **settings: Any) -> Path:

@@ -119,7 +119,7 @@ def grey(width: float) -> Field:
 
 def calibration_of(frames: Any, **changes: Any) -> Calibrated:
     sought = {"parameters": "decenter_x_mm", "kind": "amplitude", "iterations": 3, "most_mountings": 2}
-    sought |= {"patch_mm": PATCH_MM, "assess": False, **TILES, **changes}
+    sought |= {"patch_mm": PATCH_MM, "verdict": "none", **TILES, **changes}
     return calibrate_frames(LENS, frames, **sought)
 
 

@@ -153,8 +153,9 @@ class FitResult:
         Estimate of each parameter, needed or not.
     needed : ndarray of bool, shape (parameters,)
         Whether the frames need the parameter.
-    covariance : ndarray, shape (parameters, parameters)
-        Covariance of the estimates, with the prior included.
+    covariance : ndarray, shape (parameters, parameters), or None
+        Covariance of the estimates, with the prior included; None if it was not requested. All parameters
+        are then needed.
     misfit : float
         Misfit of the bench.
     trail : tuple of (Unknowns, float)
@@ -162,22 +163,22 @@ class FitResult:
     stopped_because : str
         Reason for the end of the search.
     object_uncertainty : ObjectUncertainty or None
-        Errors of the object that the covariance allows; None for a known object.
+        Errors of the object that the covariance allows; None for a known object, or without a covariance.
     """
 
     unknowns: Unknowns
     estimates: Array
     needed: NDArray[np.bool_]
-    covariance: Array
+    covariance: Array | None
     misfit: float
     trail: tuple[tuple[Unknowns, float], ...]
     stopped_because: str
     object_uncertainty: ObjectUncertainty | None = None
 
     @property
-    def deviations(self) -> Array:
-        """Standard deviation of each parameter."""
-        return np.sqrt(np.diag(self.covariance))
+    def deviations(self) -> Array | None:
+        """Standard deviation of each parameter; None without a covariance."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance))
 
 
 class _BenchFit(NamedTuple):
@@ -249,6 +250,8 @@ class JointSearch:
         Parameters of the light that are not sought, because the object takes them over.
     scale_without_limit : float
         Scale of an amplitude object without a limit, that of the state (`SearchState`).
+    has_deviations : bool
+        Whether standard deviations are computed, and parameters that are not needed return to nominal.
     """
 
     pixels: CalibrationPixels
@@ -263,6 +266,7 @@ class JointSearch:
     on_stage: Callable[[str, int, int], None] = lambda stage, completed, total: None
     absorbed: tuple[Parameter, ...] = ()
     scale_without_limit: float = 0.0
+    has_deviations: bool = True
 
     def run(self, state: SearchState) -> FitResult:
         """Search from a state and return the result.
@@ -321,6 +325,9 @@ class JointSearch:
         best, equations = self._refined(
             self._without_wrong_limit(self._converged_fit(current.unknowns, verified)), ray_derivatives
         )
+        if not self.has_deviations:
+            estimates, needed = self._estimates(best, equations), np.ones(len(self.parameters), bool)
+            return FitResult(best.unknowns, estimates, needed, None, best.misfit, state.trail, reason)
         eliminated = equations.eliminated(
             ELIMINATION_ITERATIONS if self.known is None else 0,
             lambda done, total: self.on_stage("standard deviations", done, total),
