@@ -277,8 +277,12 @@ def _solve(
     def evaluate(point: Array) -> Evaluation:
         return evaluated(point.tobytes())
 
+    @lru_cache(maxsize=32)
+    def restored(point: bytes) -> Evaluation:
+        return problem.constraints_as_goals(np.frombuffer(point), rays, final=only_feasible)
+
     def restore(point: Array) -> Evaluation:
-        return constraints_alone(evaluated(point.tobytes()))
+        return restored(point.tobytes())
 
     def run(function: Callable[[Array], Evaluation], point: Array, algorithm: str, most: int) -> Outcome:
         found = minimize(
@@ -295,7 +299,7 @@ def _solve(
         return found
 
     point = start
-    if only_feasible or evaluate(start).violation > FEASIBLE:
+    if only_feasible or np.max(restore(start).goals, initial=0.0) > FEASIBLE:
         outcome = _run_in_sequence(restore, start, _algorithm_sequence("slsqp"), run, enough=FEASIBLE)
         if only_feasible or (outcome.objective > FEASIBLE and _stationary(restore, outcome.point)):
             return outcome

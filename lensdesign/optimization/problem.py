@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,12 +225,12 @@ class DesignProblem:
             self.variables if derivatives else (),
             rays.fields_mm,
             self._traces(point, self.compiled, rays, derivatives),
-            self.as_built(point, derivatives),
             None if change is None else change.temperature_c,
             None if change is None else change.expansion_factors,
             tuple(other.state(point, given, derivatives) for other in self.heated),
-            self.losses(point, derivatives),
-            self.ghosts(point, derivatives),
+            partial(self.as_built, point, derivatives),
+            partial(self.losses, point, derivatives),
+            partial(self.ghosts, point, derivatives),
         )
 
     def trace(
@@ -393,6 +393,13 @@ class DesignProblem:
             np.concatenate([np.empty(0), *(r.values for r in constraints)]),
             np.concatenate([np.empty((0, len(point))), *(r.by for r in constraints)]) * self.width,
         )
+
+    def constraints_as_goals(self, point: Array, rays: Rays, final: bool = False) -> Evaluation:
+        """Return the constraints as goals, without constraints; the goals themselves are not evaluated."""
+        rows = constraint_operands(self.specification, self.state(point, rays), final)
+        none = np.empty((0, len(point)))
+        by = np.concatenate([none, *(r.by for r in rows)]) * self.width
+        return Evaluation(np.concatenate([np.empty(0), *(r.values for r in rows)]), by, np.empty(0), none)
 
 
 def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:

@@ -14,6 +14,7 @@ from lensdesign.errors import DesignError
 from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.operands.requirements import goal_operands, ray_constraint_operands
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, GHOST_GOAL
 
 EXCESS = 3e-5
 """Smallest scaled excess over the working set for which a ray is added."""
@@ -143,7 +144,8 @@ def _rotated(height: Array, along: Array, angle_rad: Array) -> Array:
 
 
 def _operands(problem: DesignProblem, point: Array, rays: Rays) -> list[Operand]:
-    """Return goals, and constraints on rays, without derivatives."""
-    state = problem.state(point, rays, derivatives=False)
-    goals = goal_operands(problem.specification, state)
-    return [*goals, *ray_constraint_operands(problem.specification, state)]
+    """Return goals that may be those of rays, and constraints on rays, without derivatives."""
+    specification, state = problem.specification, problem.state(point, rays, derivatives=False)
+    is_of_lens = specification.optimize.goal in (*AS_BUILT_GOALS, GHOST_GOAL)
+    goals = [] if is_of_lens else goal_operands(specification, state)
+    return [*goals, *ray_constraint_operands(specification, state)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +22,15 @@ ACCEPTED_VIOLATION = 2.0 * LIMIT_MARGIN
 """Largest excess of a scaled square over its tightened limit that still meets the limit as given."""
 
 
+def not_needed() -> None:
+    """Return None, the value of a prediction that a search does not need."""
+
+
 @dataclass(frozen=True)
 class State:
     """A lens of the search with its rays: n rays, v variables.
+
+    Predictions take much longer than the rays. They are computed when an operand uses them.
 
     Attributes
     ----------
@@ -35,30 +42,30 @@ class State:
         Object point of each ray.
     traces
         Ray trace at each wavelength of the lens.
-    as_built
-        Predictions of the lens as built; None if not needed.
     temperature_c
         Temperature of the lens; None as designed.
     expansion_factors : ndarray, shape (surfaces,)
         Factors by which the surfaces have expanded; None as designed.
     heated
         The lens at the other temperatures of the specification.
-    losses
-        Mean reconstruction losses as built; None if not needed.
-    ghosts
-        Power of ghosts on the sensor; None if not needed.
+    predict_as_built
+        Returns predictions of the lens as built; None if not needed.
+    predict_losses
+        Returns mean reconstruction losses as built; None if not needed.
+    predict_ghosts
+        Returns the power of ghosts on the sensor; None if not needed.
     """
 
     lens: Lens
     variables: tuple[Variable, ...]
     fields_mm: Array
     traces: tuple[GradientTrace, ...]
-    as_built: AsBuiltValues | None = None
     temperature_c: float | None = None
     expansion_factors: Array | None = None
     heated: tuple[State, ...] = ()
-    losses: LossValues | None = None
-    ghosts: GhostValues | None = None
+    predict_as_built: Callable[[], AsBuiltValues | None] = not_needed
+    predict_losses: Callable[[], LossValues | None] = not_needed
+    predict_ghosts: Callable[[], GhostValues | None] = not_needed
 
     @property
     def all(self) -> tuple[State, ...]:

@@ -38,9 +38,10 @@ def goal_operands(specification: Specification, state: State) -> list[Operand]:
     if goal in AS_BUILT_GOALS:
         return [_as_built_goal(goal, one) for one in state.all]
     if goal == GHOST_GOAL:
-        assert state.ghosts is not None  # the goal requires them
+        ghosts = state.predict_ghosts()
+        assert ghosts is not None  # the goal requires them
         scale = 0.01  # power of ghosts by which the goal is scaled
-        return [finite_operand(goal, state.ghosts.fractions / scale, state.ghosts.fractions_by / scale)]
+        return [finite_operand(goal, ghosts.fractions / scale, ghosts.fractions_by / scale)]
     if goal.startswith("smallest spread"):
         widest = sensor_spread_sine(lens, max(lens.wavelengths_um))
         own = goal == "smallest spread"
@@ -117,21 +118,24 @@ def _light_rows(specification: Specification, state: State, limited: bool) -> li
 def _as_built_goal(goal: str, state: State) -> Operand:
     name = named_at(goal, state.temperature_c)
     if goal == LOSS_GOAL:
-        assert state.losses is not None  # the goal requires it
-        losses = state.losses
+        losses = state.predict_losses()
+        assert losses is not None  # the goal requires it
         return finite_operand(name, losses.losses / losses.scale, losses.losses_by / losses.scale)
-    assert state.as_built is not None  # the goal requires it
+    found = state.predict_as_built()
+    assert found is not None  # the goal requires it
     if goal == "yield":
-        return finite_operand(name, np.array([state.as_built.failing]), state.as_built.failing_by[None])
+        return finite_operand(name, np.array([found.failing]), found.failing_by[None])
     # Root mean square wavefront error by which as-built goals are scaled.
     scale = 0.1
-    return finite_operand(name, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
+    return finite_operand(name, found.rms_waves / scale, found.rms_by / scale)
 
 
 def _as_built_rows(specification: Specification, state: State) -> list[Operand]:
     """Return the constraints on yield, wavefront errors and losses of lenses as built."""
-    limits, found = specification.constraints, state.as_built
-    rows = _loss_rows(specification, state)
+    limits, rows = specification.constraints, _loss_rows(specification, state)
+    if limits.min_yield is None and limits.max_as_built_rms_waves is None:
+        return rows
+    found = state.predict_as_built()
     if found is None:
         return rows
     if limits.min_yield is not None:
@@ -147,7 +151,8 @@ def _as_built_rows(specification: Specification, state: State) -> list[Operand]:
 
 
 def _loss_rows(specification: Specification, state: State) -> list[Operand]:
-    most, found = specification.constraints.max_as_built_reconstruction_loss, state.losses
+    most = specification.constraints.max_as_built_reconstruction_loss
+    found = None if most is None else state.predict_losses()
     if most is None or found is None:
         return []
     name = named_at(LOSS_GOAL, state.temperature_c)
@@ -156,7 +161,8 @@ def _loss_rows(specification: Specification, state: State) -> list[Operand]:
 
 def _ghost_rows(specification: Specification, state: State) -> list[Operand]:
     """Return the constraint on the power of ghosts, for each sensor plane."""
-    most, found = specification.constraints.max_ghost_fraction, state.ghosts
+    most = specification.constraints.max_ghost_fraction
+    found = None if most is None else state.predict_ghosts()
     if most is None or found is None:
         return []
     tightened = most * (1.0 - GHOST_MARGIN)
