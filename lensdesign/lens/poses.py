@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
@@ -68,12 +69,13 @@ class Pose:
         shift : ndarray, shape (trials or 1, 3)
             ``fixed = rotation @ own + shift``.
         """
-        values = [np.atleast_1d(np.asarray(getattr(self, f.name), float)) for f in fields(self)]
-        dx, dy, dz, tilt_x, tilt_y, pivot = np.broadcast_arrays(*values)
-        rotation = rotation_matrix(np.deg2rad(tilt_x), np.deg2rad(tilt_y))
-        centre = np.stack([np.zeros_like(pivot), np.zeros_like(pivot), pivot], axis=-1)
-        rotated_centre = np.einsum("tij,tj->ti", rotation, centre)
-        return rotation, np.stack([dx, dy, dz], axis=-1) + centre - rotated_centre
+        values = np.empty((len(fields(self)), trial_count(self) or 1))
+        for k, f in enumerate(fields(self)):
+            values[k] = getattr(self, f.name)
+        rotation, pivot = rotation_matrix(*np.deg2rad(values[3:5])), values[5]
+        shift = np.array(values[:3].T)
+        shift[:, 2] += pivot
+        return rotation, shift - rotation[:, :, 2] * pivot[:, None]
 
 
 @dataclass(frozen=True)
@@ -159,9 +161,11 @@ def rotation_matrix(tilt_x: NDArray[np.float64], tilt_y: NDArray[np.float64]) ->
     [[1.0, 0.0, 0.0], [0.0, 1.0, -0.0], [-0.0, 0.0, 1.0]]
     """
     cx, sx, cy, sy = np.cos(tilt_x), np.sin(tilt_x), np.cos(tilt_y), np.sin(tilt_y)
-    zero = np.zeros_like(cx)
-    rows = [[cy, zero, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    found = np.empty((*np.shape(cx), 3, 3), np.result_type(cx, cy))
+    found[..., 0, 0], found[..., 0, 1], found[..., 0, 2] = cy, 0.0, sy
+    found[..., 1, 0], found[..., 1, 1], found[..., 1, 2] = sx * sy, cx, -sx * cy
+    found[..., 2, 0], found[..., 2, 1], found[..., 2, 2] = -cx * sy, sx, cx * cy
+    return found
 
 
 def trial_count(*perturbations: Pose | SurfacePerturbation) -> int | None:
@@ -176,7 +180,7 @@ def trial_count(*perturbations: Pose | SurfacePerturbation) -> int | None:
         f"{type(one).__name__}.{name}": np.size(value)
         for one in perturbations
         for name, value in _numbers(one).items()
-        if np.ndim(value) == 1
+        if not isinstance(value, float) and np.ndim(value) == 1
     }
     for one in perturbations:
         figure = one.figure if isinstance(one, SurfacePerturbation) else None
@@ -190,6 +194,8 @@ def trial_count(*perturbations: Pose | SurfacePerturbation) -> int | None:
 def check_values(perturbation: Pose | SurfacePerturbation) -> None:
     """Raise InputError unless all values are finite numbers or 1-D arrays of equal length."""
     for name, value in _numbers(perturbation).items():
+        if isinstance(value, float) and math.isfinite(value):
+            continue
         array = np.asarray(value)
         if array.ndim > 1 or array.dtype.kind not in "fiu" or not np.all(np.isfinite(array)):
             raise InputError(

@@ -319,5 +319,7 @@ def _frames(lens: Lens, pose: Pose, changes: Mapping[int, SurfacePerturbation]) 
 def _stack(arrays: list[Array]) -> Array:
     """Return arrays of shape (trials or 1, ...) stacked along a new second axis."""
     trials = max(len(a) for a in arrays)
-    full = [np.broadcast_to(a, (trials, *a.shape[1:])) for a in arrays]
-    return np.ascontiguousarray(np.stack(full, axis=1))
+    full = np.empty((trials, len(arrays), *arrays[0].shape[1:]))
+    for k, array in enumerate(arrays):
+        full[:, k] = array
+    return full
