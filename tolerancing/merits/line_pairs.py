@@ -16,6 +16,7 @@ from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
     from wavesim import ReconstructionPupil
+    from wavesim.pupil import FocalPlanes
     from wavesim.pupil.patch_reconstruction import PerturbedPatch
 
 
@@ -102,8 +103,12 @@ class LinePairContrast(PupilMerit):
         return worse(lambda axis: line_pair_contrast(pupil, self.line_width_um, axis, BARS), self.orientation)
 
     def best_score(self, pupil: ReconstructionPupil) -> float:
+        from wavesim.pupil import FocalPlanes
+
+        planes = FocalPlanes(pupil)
+
         def best(axis: Axis) -> float:
-            return line_pairs_in_focus(pupil, self.line_width_um, axis)[0]
+            return line_pairs_in_focus(planes, self.line_width_um, axis)[0]
 
         return worse(best, self.orientation)
 
@@ -127,7 +132,7 @@ class LinePairContrast(PupilMerit):
 
 
 def line_pairs_in_focus(
-    pupil: ReconstructionPupil, line_width_um: float, axis: Axis
+    pupil: ReconstructionPupil | FocalPlanes, line_width_um: float, axis: Axis
 ) -> tuple[float, ReconstructionPupil]:
     """Return the contrast of line pairs in their best focus, and the refocused pupil."""
     from wavesim import line_pair_contrast

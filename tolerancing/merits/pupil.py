@@ -17,6 +17,7 @@ from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
     from wavesim import ReconstructionPupil
+    from wavesim.pupil import FocalPlanes
 
 Axis = Literal["x", "y"]
 Orientation = Literal["x", "y", "worse"]
@@ -151,9 +152,12 @@ class ModulationTransfer(PupilMerit):
 
     def best_score(self, pupil: ReconstructionPupil) -> float:
         from wavesim import mtf
+        from wavesim.pupil import FocalPlanes
+
+        planes = FocalPlanes(pupil)
 
         def best(axis: Axis) -> float:
-            return in_best_focus(pupil, lambda p: float(mtf(p, [self.frequency_lp_per_mm], axis)[0]))
+            return in_best_focus(planes, lambda p: float(mtf(p, [self.frequency_lp_per_mm], axis)[0]))
 
         return worse(best, self.orientation)
 
@@ -191,12 +195,12 @@ class SmallestResolvedLine(PupilMerit):
     def _finest(self, pupil: ReconstructionPupil, axis: Axis) -> float:
         """Return the finest resolved lines, refocusing for slightly finer lines as long as this helps."""
         from wavesim import line_pair_contrast
-        from wavesim.pupil import best_focus, smallest_resolved_line_width_um
+        from wavesim.pupil import FocalPlanes, best_focus, smallest_resolved_line_width_um
 
-        finest = smallest_resolved_line_width_um(pupil, axis, self.contrast)
+        finest, planes = smallest_resolved_line_width_um(pupil, axis, self.contrast), FocalPlanes(pupil)
         while np.isfinite(finest):
             width = 0.98 * finest
-            focused = best_focus(pupil, lambda p, w=width: line_pair_contrast(p, w, axis)).pupil  # type: ignore[misc]
+            focused = best_focus(planes, lambda p, w=width: line_pair_contrast(p, w, axis)).pupil  # type: ignore[misc]
             reached = smallest_resolved_line_width_um(focused, axis, self.contrast)
             if not reached < finest:
                 break
@@ -220,11 +224,11 @@ class ImageShift(PupilMerit):
         return np.array([float(np.hypot(*register(pupil).shift_um)) for pupil in pupils])
 
 
-def in_best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil], float]) -> float:
+def in_best_focus(planes: FocalPlanes, score: Callable[[ReconstructionPupil], float]) -> float:
     """Return a score in its best focus."""
     from wavesim.pupil import best_focus
 
-    return score(best_focus(pupil, score).pupil)
+    return score(best_focus(planes, score).pupil)
 
 
 def worse(score: Callable[[Axis], float], orientation: Orientation) -> float:

@@ -1,5 +1,5 @@
 from .characteristic import PointCharacteristic, PupilSampler
-from .focus import best_focus
+from .focus import FocalPlanes, best_focus
 from .line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
@@ -24,6 +24,7 @@ from .pupil import (
 from .ray_aiming import RayAimError
 
 __all__ = [
+    "FocalPlanes",
     "LinearisedReconstruction",
     "Meridian",
     "PatchReconstructor",

@@ -22,14 +22,38 @@ STEPS = 4
 """Number of trial planes to either side. A parabola interpolates between the best one and its neighbours."""
 
 
-def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil], float]) -> Refocused:
+class FocalPlanes:
+    """A registered pupil in planes along the axis, which several scores can share.
+
+    Parameters
+    ----------
+    pupil
+        The pupil (:func:`wavesim.refocus`).
+    """
+
+    def __init__(self, pupil: ReconstructionPupil) -> None:
+        self.pupil = pupil
+        self.slopes, self._across = axial_path(pupil)
+        self._moved = {0.0: pupil}
+
+    def at(self, distance_um: float) -> ReconstructionPupil:
+        """Return the pupil in the plane at a distance; its lateral position does not change."""
+        if distance_um not in self._moved:
+            path = self.pupil.opd_mm + 1e-3 * distance_um * self._across
+            self._moved[distance_um] = replace(self.pupil, opd_mm=path)
+        return self._moved[distance_um]
+
+
+def best_focus(
+    pupil: ReconstructionPupil | FocalPlanes, score: Callable[[ReconstructionPupil], float]
+) -> Refocused:
     """Return the pupil in the object plane with the highest score; its lateral position does not change.
 
     Parameters
     ----------
     pupil
-        A registered pupil (:func:`wavesim.refocus`). The search covers `FOCUS_RANGE` to either side of its
-        plane.
+        A registered pupil (:func:`wavesim.refocus`), or its planes if several scores are searched. The search
+        covers `FOCUS_RANGE` to either side of its plane.
     score
         Function of a pupil; the best pupil has the highest score. Planes in which it raises a SamplingError
         are skipped.
@@ -44,20 +68,15 @@ def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil]
     SamplingError
         If the score cannot be computed in the plane of the given pupil.
     """
-    slopes, across = axial_path(pupil)
-
-    def moved(distance_um: float) -> ReconstructionPupil:
-        return replace(pupil, opd_mm=pupil.opd_mm + 1e-3 * distance_um * across) if distance_um else pupil
-
-    distance, _ = search_maximum(lambda distance_um: score(moved(distance_um)), search_range_um(pupil.grid))
-    grid, found = pupil.grid, moved(distance)
-    shift = -distance * slopes[1:]
-    means = np.append(grid.cosines.mean(axis=0), grid.axial_cosine.mean())
+    planes = pupil if isinstance(pupil, FocalPlanes) else FocalPlanes(pupil)
+    grid = planes.pupil.grid
+    distance, _ = search_maximum(lambda distance_um: score(planes.at(distance_um)), search_range_um(grid))
+    shift = -distance * planes.slopes[1:]
     return Refocused(
-        pupil=found,
+        pupil=planes.at(distance),
         shift_um=shift,
         refocus_um=distance,
-        piston_um=float(distance * slopes[0] + np.append(shift, distance) @ means),
+        piston_um=float(distance * planes.slopes[0] + np.append(shift, distance) @ grid.mean_cosines),
     )
 
 
@@ -78,7 +97,7 @@ def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
     """
     basis, valid = pupil.grid.basis, pupil.valid
     # On a line one of the cosines is 0 everywhere, and has no slope.
-    products = (basis[:3] * valid) @ basis.T
+    products = pupil.products[:3]
     slopes = np.asarray(np.linalg.lstsq(products[:, :3], products[:, 3], rcond=None)[0], float)
     return slopes, np.where(valid, basis[3] - slopes @ basis[:3], 0.0)
 

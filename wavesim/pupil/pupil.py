@@ -81,6 +81,11 @@ class PupilGrid:
         """Direction cosine N of the samples inside, shape (n,)."""
         return np.asarray(np.sqrt(1.0 - np.sum(self.cosines**2, axis=1)))
 
+    @cached_property
+    def mean_cosines(self) -> Array:
+        """Means of L, M and N, shape (3,)."""
+        return np.append(self.cosines.mean(axis=0), self.axial_cosine.mean())
+
     @property
     def window_um(self) -> float:
         """Period in the object plane, in um, with which all results of this grid repeat."""
@@ -91,6 +96,11 @@ class PupilGrid:
         """Terms that registration removes: 1, and L, M, N minus their means; shape (4, n)."""
         rows = np.vstack([self.cosines.T, self.axial_cosine])
         return np.vstack([np.ones(len(self.index)), rows - rows.mean(axis=1, keepdims=True)])
+
+    @cached_property
+    def products(self) -> Array:
+        """Sums of products of the terms of :attr:`PupilGrid.basis` over all samples, shape (4, 4)."""
+        return np.asarray(self.basis @ self.basis.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +148,7 @@ class ReconstructionPupil:
             )
         if not np.any(self.valid):
             raise InputError("no ray of the pupil arrives through both the nominal and the perturbed lens")
-        if not np.all(np.isfinite(self.opd_mm[self.valid])):
+        if not np.all(np.isfinite(self.opd_mm) | ~self.valid):
             raise InputError("opd_mm is not finite at samples that are marked valid")
 
     @property
@@ -155,6 +165,13 @@ class ReconstructionPupil:
     def throughput(self) -> float:
         """Fraction of the nominal lens's rays that pass the perturbed lens as well."""
         return float(np.mean(self.valid))
+
+    @property
+    def products(self) -> Array:
+        """Sums of products of the terms of :attr:`PupilGrid.basis` over the valid samples, shape (4, 4)."""
+        if np.all(self.valid):
+            return self.grid.products
+        return np.asarray((self.grid.basis * self.valid) @ self.grid.basis.T)
 
     @cached_property
     def opd_waves(self) -> Array:
@@ -284,16 +301,18 @@ def _register(pupil: ReconstructionPupil, terms: int) -> Refocused:
             f"only {count} samples of the pupil are valid: cannot register it; raise samples or lower "
             "the perturbation"
         )
-    basis = grid.basis[: terms + 1]
-    opd = np.where(valid, pupil.opd_mm, 0.0)
+    basis, is_whole = grid.basis[: terms + 1], count == valid.size
+    opd = pupil.opd_mm if is_whole else np.where(valid, pupil.opd_mm, 0.0)
     try:
-        coefficients = np.linalg.solve((basis * valid) @ basis.T, basis @ opd)
+        products = pupil.products[: terms + 1, : terms + 1]
+        coefficients = np.linalg.solve(products, basis @ opd)
     except np.linalg.LinAlgError:
         raise InputError("the valid samples of the pupil lie on one line: cannot register it") from None
-    means = np.append(grid.cosines.mean(axis=0), grid.axial_cosine.mean())[:terms]
+    means = grid.mean_cosines[:terms]
+    registered = opd - coefficients @ basis
     move_um = np.asarray(-1e3 * coefficients[1:], float)
     return Refocused(
-        pupil=replace(pupil, opd_mm=np.where(valid, opd - coefficients @ basis, 0.0)),
+        pupil=replace(pupil, opd_mm=registered if is_whole else np.where(valid, registered, 0.0)),
         shift_um=move_um[:2],
         refocus_um=float(move_um[2]) if terms == 3 else 0.0,
         piston_um=float(1e3 * coefficients[0] + move_um @ means),
