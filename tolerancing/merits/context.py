@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lensdesign.raytrace.bundles import PupilSamples
+    from lensdesign.raytrace.compiled import CompiledSystem
     from tolerancing.merits.compensators import Compensator, ModelPupils
     from tolerancing.merits.sensor_rays import Arrival
     from wavesim import PatchReconstructor, PupilSampler, ReconstructionPupil
@@ -185,6 +186,20 @@ class Context:
         wavelength = self.wavelength_um(wavelength_um)
         return self.cached_for(batch, ("states", wavelength), lambda: batch.states(self.lens, wavelength))
 
+    def systems(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[CompiledSystem]:
+        """Return the lens of each perturbed system, compiled for the pupils of all object points."""
+        wavelength = self.wavelength_um(wavelength_um)
+
+        def compute() -> list[CompiledSystem]:
+            from lensdesign.raytrace.compiled import compile_system
+
+            return [
+                compile_system(self.lens, wavelength, one.pose, one.surface_perturbations)
+                for one in self.states(batch, wavelength)
+            ]
+
+        return self.cached_for(batch, ("systems", wavelength), compute)
+
     def pupils(
         self,
         batch: PerturbationBatch,
@@ -233,7 +248,8 @@ class Context:
 
         def raw() -> list[ReconstructionPupil]:
             sampler = self.sampler(field_mm, wavelength)
-            return [sampler.pupil(one) for one in self.states(batch, wavelength)]
+            pairs = zip(self.states(batch, wavelength), self.systems(batch, wavelength), strict=True)
+            return [sampler.pupil(state, system) for state, system in pairs]
 
         pupils = self.cached_for(batch, ("pupils", field_mm, wavelength), raw)
         if not (compensated and self.compensators):

@@ -91,8 +91,9 @@ class ReconstructionLoss(PupilMerit):
                 ("adapted", *key), lambda: _AdaptedModel(context, reconstructions, self.wavelength_um)
             )
         scores = []
-        for system in context.states(batch, self.wavelength_um):
-            waves = [one.meridian.waves(system) for one in reconstructions]
+        systems = context.systems(batch, self.wavelength_um)
+        for state, system in zip(context.states(batch, self.wavelength_um), systems, strict=True):
+            waves = [one.meridian.waves(state, system) for one in reconstructions]
             scores.append(expected_loss(reconstructions, model.residual(waves) if model else waves))
         return np.array(scores)
 

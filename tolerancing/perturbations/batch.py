@@ -182,21 +182,25 @@ class PerturbationBatch:
 
     def states(self, lens: Lens, wavelength_um: float) -> list[SystemState]:
         """Return the perturbed systems, one for each trial, each with its wavelength."""
-        return [one._state(lens, wavelength_um) for one in self.single_trials()]
-
-    def _state(self, lens: Lens, wavelength_um: float) -> SystemState:
-        surfaces = self.surface_perturbations(lens, wavelength_um)
-        x_mm, y_mm, z_mm = self.sensor_shift_mm(lens)[0].tolist()
-        errors_mm = (self.plane_distances_mm(lens)[0] - z_mm).tolist()
-        return SystemState(
-            pose=Pose(**_first(vars(self.poses()))),
-            surface_perturbations={i: SurfacePerturbation(**_first(vars(p))) for i, p in surfaces.items()},
-            object_shift_mm=tuple(self.object_shift_mm(lens)[0].tolist()),
-            sensor_shift_mm=(x_mm, y_mm, z_mm),
-            plane_distance_errors_mm=tuple(errors_mm) if any(errors_mm) else (),
-            sensor_tilt_deg=tuple(self.sensor_tilt_deg()[0].tolist()),
-            wavelength_um=wavelength_um + float(self.wavelength_shift_um()[0]),
-        )
+        poses, surfaces = vars(self.poses()), self.surface_perturbations(lens, wavelength_um)
+        sensor_mm, planes_mm = self.sensor_shift_mm(lens), self.plane_distances_mm(lens)
+        errors_mm, object_mm = planes_mm - sensor_mm[:, 2:], self.object_shift_mm(lens)
+        tilts_deg, wavelengths_um = self.sensor_tilt_deg(), wavelength_um + self.wavelength_shift_um()
+        return [
+            SystemState(
+                pose=Pose(**_of_trial(poses, i)),
+                surface_perturbations={
+                    surface: SurfacePerturbation(**_of_trial(vars(own), i))
+                    for surface, own in surfaces.items()
+                },
+                object_shift_mm=tuple(object_mm[i].tolist()),
+                sensor_shift_mm=tuple(sensor_mm[i].tolist()),
+                plane_distance_errors_mm=tuple(errors_mm[i].tolist()) if np.any(errors_mm[i]) else (),
+                sensor_tilt_deg=tuple(tilts_deg[i].tolist()),
+                wavelength_um=float(wavelengths_um[i]),
+            )
+            for i in range(len(self))
+        ]
 
     def _heated(self) -> list[tuple[int, PerturbedParameter]]:
         """Return the columns that perturb the temperature, with their indices."""
@@ -236,17 +240,17 @@ def _perturbed(deltas: Mapping[str, Any]) -> SurfacePerturbation:
     return SurfacePerturbation(**{n: delta for n, delta in deltas.items() if n in named}, shape=shape)
 
 
-def _first(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of the first trial."""
+def _of_trial(values: Mapping[str, Any], index: int) -> dict[str, Any]:
+    """Return the values of one trial, from numbers and from arrays of shape (trials,)."""
 
-    def first(value: Any) -> Any:
+    def own(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return _first(value)
+            return _of_trial(value, index)
         if value is None or isinstance(value, SurfaceFigure):
-            return value and value.trial(0)
-        return float(np.ravel(value)[0])
+            return value and value.trial(index)
+        return float(value[index]) if np.ndim(value) else value
 
-    return {name: first(value) for name, value in values.items()}
+    return {name: own(value) for name, value in values.items()}
 
 
 def radius_delta_mm(lens: Lens, surface: int, name: str, value: Array) -> Array:

@@ -277,7 +277,9 @@ class PupilSampler:
         self.grid = self.nominal.grid
         self._map = self.nominal.aiming_map()
 
-    def pupil(self, state: SystemState | Pose = AS_DESIGNED) -> ReconstructionPupil:
+    def pupil(
+        self, state: SystemState | Pose = AS_DESIGNED, system: CompiledSystem | None = None
+    ) -> ReconstructionPupil:
         """Return the reconstruction pupil dV(p) = V'(c, s(p)) - V(c, s(p)) of one perturbed lens.
 
         A quasi-Newton iteration with the nominal Jacobian finds the perturbed ray that ends near s(p), at s'.
@@ -289,6 +291,8 @@ class PupilSampler:
             Lens, object, sensor and light; or the pose of the lens alone. At another wavelength the
             difference of the paths in waves counts, V'/wavelength' - V/wavelength. It is returned as a length
             at the nominal wavelength.
+        system
+            The perturbed lens, if it is already compiled at the nominal wavelength (default: compiled here).
 
         Returns
         -------
@@ -303,7 +307,8 @@ class PupilSampler:
             If aiming does not converge.
         """
         place, wavelength = state_of(state), self.grid.wavelength_um
-        system = compile_system(self.lens, wavelength, place.pose, place.surface_perturbations)
+        if system is None:
+            system = compile_system(self.lens, wavelength, place.pose, place.surface_perturbations)
         if system.trials is not None:
             raise InputError(
                 f"the perturbation has {system.trials} trials: a pupil needs that of a single lens"

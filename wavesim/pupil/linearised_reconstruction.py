@@ -27,6 +27,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_choice, validate_positive
+from wavesim.fields.plane_waves import TURN, phasor_of
 from wavesim.pupil.meridian import Meridian
 from wavesim.pupil.pupil import ComplexArray
 from wavesim.scene.settings import Kind
@@ -110,7 +111,7 @@ class LinearisedReconstruction:
         for number, plane in enumerate(self.meridian.planes):
             matrix = plane.matrix
             if waves is not None:
-                matrix = matrix * np.exp(2j * np.pi * waves[number])
+                matrix = matrix * phasor_of(TURN * waves[number], np.complex64)
             parts.append(np.abs(matrix @ self.objects))
         return np.concatenate(parts)
 

@@ -50,20 +50,20 @@ class MeridianPlane:
         E, unitary except for the stop.
     cosines : ndarray, shape (pixels, samples)
         Direction cosine p(x, s) over the numerical aperture; 0 where there is no ray.
-    maps : tuple of AimingMap
-        Nominal rays of each object point of `NODES`.
-    paths_mm : tuple of ndarray
+    map : AimingMap
+        Nominal rays of all object points of `NODES`.
+    path_mm : ndarray, shape (rays,)
         Optical paths of these rays in mm.
-    nodes : tuple of ndarray, shape (2, rays)
+    nodes : ndarray, shape (2, rays)
         x over half the line's length, and p over the numerical aperture, of these rays.
     """
 
     number: int
     matrix: ComplexArray
     cosines: Array
-    maps: tuple[AimingMap, ...]
-    paths_mm: tuple[Array, ...]
-    nodes: tuple[Array, ...]
+    map: AimingMap
+    path_mm: Array
+    nodes: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,13 +141,15 @@ class Meridian:
         distances = self.planes_mm or self.lens.sensor.plane_distances_mm
         return tuple(self._plane(*numbered) for numbered in enumerate(distances))
 
-    def waves(self, state: SystemState) -> list[Array]:
+    def waves(self, state: SystemState, system: CompiledSystem | None = None) -> list[Array]:
         """Return the path change through a perturbed lens in waves, up to a constant for each plane.
 
         Parameters
         ----------
         state
             Lens, object, sensor and light.
+        system
+            The perturbed lens, if it is already compiled at the wavelength (default: compiled here).
 
         Returns
         -------
@@ -161,7 +163,8 @@ class Meridian:
         InputError
             If too few rays arrive.
         """
-        system = compile_system(self.lens, self.wavelength, state.pose, state.surface_perturbations)
+        if system is None:
+            system = compile_system(self.lens, self.wavelength, state.pose, state.surface_perturbations)
         return [self._waves(plane, system, state) for plane in self.planes]
 
     @cached_property
@@ -250,42 +253,34 @@ class Meridian:
         here = CubicSpline(places, cosines)
         return np.sqrt(np.abs(here(pixels, 1))), along, here(pixels)
 
-    def _nodes(self, z_mm: float) -> tuple[tuple[AimingMap, ...], tuple[Array, ...], tuple[Array, ...]]:
-        """Return the nominal rays to which perturbed rays are aimed."""
-        points, directions = (np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in NODES)
-        maps, paths, nodes = [], [], []
-        for x in points:
-            point = self._point(0.5 * x * self.length_mm)
-            cosines = np.outer(self.direction, self._aperture * directions)
-            rays, _ = shoot(self._system, point, cosines, z_mm, clip=True)
-            passed = rays.ok
-            jacobian, turned = ray_derivatives(self._system, point, cosines[:, passed], z_mm)
-            inverse = np.linalg.inv(jacobian)
-            bent = float(np.max(np.linalg.norm(turned @ inverse, axis=(1, 2)), initial=0.0))
-            maps.append(
-                AimingMap(
-                    cosines=np.ascontiguousarray(cosines[:, passed]),
-                    points_mm=np.ascontiguousarray(rays.position[passed, :2].T),
-                    inverse_per_mm=np.ascontiguousarray(np.moveaxis(inverse, 0, -1)),
-                    object_point_mm=point,
-                    plane_z_mm=z_mm,
-                    reach_mm=reach_for(self.wavelength, bent),
-                )
-            )
-            paths.append(rays.opl[passed])
-            nodes.append(np.stack([np.full(np.count_nonzero(passed), x), directions[passed]]))
-        return tuple(maps), tuple(paths), tuple(nodes)
+    def _nodes(self, z_mm: float) -> tuple[AimingMap, Array, Array]:
+        """Return the nominal rays to which perturbed rays are aimed, their paths and their nodes."""
+        across, along = (np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in NODES)
+        x, p = np.repeat(across, len(along)), np.tile(along, len(across))
+        points = np.array([self._point(0.5 * one * self.length_mm) for one in x])
+        rays, _ = shoot(self._system, points, np.outer(self.direction, self._aperture * p), z_mm, clip=True)
+        passed = rays.ok
+        x, p, points = x[passed], p[passed], points[passed]
+        cosines = np.outer(self.direction, self._aperture * p)
+        jacobian, turned = ray_derivatives(self._system, points, cosines, z_mm)
+        inverse = np.linalg.inv(jacobian)
+        bent = float(np.max(np.linalg.norm(turned @ inverse, axis=(1, 2)), initial=0.0))
+        aiming = AimingMap(
+            cosines=np.ascontiguousarray(cosines),
+            points_mm=np.ascontiguousarray(rays.position[passed, :2].T),
+            inverse_per_mm=np.ascontiguousarray(np.moveaxis(inverse, 0, -1)),
+            object_point_mm=points,
+            plane_z_mm=z_mm,
+            reach_mm=reach_for(self.wavelength, bent),
+        )
+        return aiming, rays.opl[passed], np.stack([x, p])
 
     def _waves(self, plane: MeridianPlane, system: CompiledSystem, state: SystemState) -> Array:
         across = state.sensor_shift_mm[:2]
         here = replace(state, sensor_shift_mm=(*across, state.sensor_pose(plane.number).distance_mm))
         ratio = self.wavelength / (state.wavelength_um or self.wavelength)
-        paths, nodes = [], []
-        for aiming, nominal, at in zip(plane.maps, plane.paths_mm, plane.nodes, strict=True):
-            found = aiming.aim(system, here)
-            paths.append((ratio * found.path_mm - nominal)[found.arrived])
-            nodes.append(at[:, found.arrived])
-        (x, p), path = np.concatenate(nodes, axis=1), np.concatenate(paths)
+        found = plane.map.aim(system, here)
+        path, (x, p) = (ratio * found.path_mm - plane.path_mm)[found.arrived], plane.nodes[:, found.arrived]
         terms = (ORDERS[0] + 1) * (ORDERS[1] + 1)
         if len(path) <= terms:
             raise InputError(f"only {len(path)} rays of a line arrive through the perturbed lens")

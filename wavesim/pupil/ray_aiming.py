@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +61,8 @@ class AimingMap:
         Intersections of the nominal rays with the sensor, in mm.
     inverse_per_mm : ndarray, shape (2, 2, n)
         Derivatives of the cosines with respect to the points, in 1/mm.
-    object_point_mm : ndarray, shape (3,)
-        Object point in mm.
+    object_point_mm : ndarray, shape (3,) or (n, 3)
+        Object point in mm, of all rays or of each.
     plane_z_mm : float
         Position z of the sensor's plane in mm.
     reach_mm : float
@@ -91,34 +92,112 @@ class AimingMap:
             If aiming does not converge.
         """
         shift = np.asarray(state.sensor_shift_mm)
-        inverse, plane_z = self.inverse_per_mm, self.plane_z_mm + state.sensor_shift_mm[2]
+        plane_z = self.plane_z_mm + state.sensor_shift_mm[2]
         point = self.object_point_mm + state.object_shift_mm
         own = tilted_points(self.points_mm, state.sensor_tilt_deg)
         targets, depth = own[:2] + shift[:2, None], own[2]
-        flat, cosines = not np.any(depth), self.cosines
+        depths = depth if np.any(depth) else None
+        cosines = self._guided_cosines(system, point, plane_z, targets, depths)
+        is_aimed = cosines is not None
+        if cosines is None:
+            cosines = self.cosines
         index = float(system.index[0, -1])
         # Most traces that aiming may take; two suffice for perturbations that a mount allows.
         aim_steps = 8
         for step in range(aim_steps):
             # Only aimed rays show what the perturbed stop transmits.
-            rays, real = shoot(system, point, cosines, plane_z, clip=step > 0)
-            arrived = rays.ok & real
-            miss = targets - rays.position[:, :2].T
-            if not flat:
-                further = depth / np.where(arrived, rays.direction[:, 2], 1.0)
-                miss -= further * rays.direction[:, :2].T
-            miss[:, ~arrived] = 0.0
-            if step > 0 and np.max(miss[0] ** 2 + miss[1] ** 2) <= self.reach_mm**2:
-                bridge = rays.direction[:, 0] * miss[0] + rays.direction[:, 1] * miss[1]
-                if not flat:
-                    bridge += further
+            is_aimed |= step > 0
+            rays, arrived = shoot(system, point, cosines, plane_z, clip=is_aimed)
+            arrived &= rays.ok
+            miss, further = _miss(rays, arrived, targets, depths)
+            if is_aimed and np.max(miss[0] ** 2 + miss[1] ** 2) <= self.reach_mm**2:
+                bridge = rays.direction[:, 0] * miss[0] + rays.direction[:, 1] * miss[1] + further
                 return Aimed(rays, cosines, miss, rays.opl + index * bridge, arrived)
-            cosines = cosines + (inverse[:, 0] * miss[0] + inverse[:, 1] * miss[1])
+            cosines = cosines + _times(self.inverse_per_mm, miss)
         furthest = float(np.sqrt(np.max(miss[0] ** 2 + miss[1] ** 2)))
         raise RayAimError(
             f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {aim_steps} "
             f"steps (allowed: {self.reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
         )
+
+    def _guided_cosines(
+        self, system: CompiledSystem, point: Array, plane_z_mm: float, targets_mm: Array, depths: Array | None
+    ) -> Array | None:
+        """Return cosines of all rays from the corrections of a few, which vary smoothly over the bundle.
+
+        None if the bundle has few rays, or if one of the guides does not arrive.
+        """
+        if self._guides is None:
+            return None
+        some = self._guides.rays
+        nominal, inverse = self.cosines[:, some], self.inverse_per_mm[..., some]
+        targets, own_depths = targets_mm[:, some], None if depths is None else depths[some]
+        own_point = point if point.ndim == 1 else point[some]
+        rays, arrived = shoot(system, own_point, nominal, plane_z_mm, clip=False)
+        arrived &= rays.ok
+        if not np.all(arrived):
+            return None
+        correction = _times(inverse, _miss(rays, arrived, targets, own_depths)[0])
+        return np.asarray(self.cosines + (correction @ self._guides.fit) @ self._guides.terms)
+
+    @cached_property
+    def _guides(self) -> _Guides | None:
+        # Bundles with fewer rays are traced at once.
+        fewest_rays = 1000
+        return _guides_of(self.cosines) if self.cosines.shape[1] >= fewest_rays else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Guides:
+    """A few rays of a bundle, and the polynomials of the direction cosines that interpolate between them.
+
+    Attributes
+    ----------
+    rays : ndarray, shape (m,)
+        Indices of the guides.
+    fit : ndarray, shape (m, terms)
+        Values at the guides times this matrix are the coefficients of the polynomial.
+    terms : ndarray, shape (terms, n)
+        Terms of the polynomial at all rays.
+    """
+
+    rays: NDArray[np.intp]
+    fit: Array
+    terms: Array
+
+
+def _guides_of(cosines: Array) -> _Guides:
+    """Return guides all over a bundle, and at its rim, where polynomials would extrapolate."""
+    inside, around, degree = 96, 24, 4
+    azimuth = 2.0 * np.pi * np.arange(around) / around
+    centred = cosines - 0.5 * (cosines.min(axis=1) + cosines.max(axis=1))[:, None]
+    rim = np.argmax(np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) @ centred, axis=1)
+    rays = np.unique(np.append(np.linspace(0, cosines.shape[1] - 1, inside).astype(int), rim))
+    x, y = centred / np.max(np.abs(centred))
+    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+    return _Guides(rays, np.linalg.pinv(terms[:, rays]), terms)
+
+
+def _miss(
+    rays: RayTrace, arrived: NDArray[np.bool_], targets_mm: Array, depths_mm: Array | None
+) -> tuple[Array, Array | float]:
+    """Return the distances of rays from their sensor points, and their paths to the tilted sensor.
+
+    Both are 0 for rays that do not arrive. `depths_mm` are None on a sensor without tilt.
+    """
+    miss = targets_mm - rays.position[:, :2].T
+    further: Array | float = 0.0
+    if depths_mm is not None:
+        further = depths_mm / np.where(arrived, rays.direction[:, 2], 1.0)
+        miss -= further * rays.direction[:, :2].T
+    if not np.all(arrived):
+        miss[:, ~arrived] = 0.0
+    return miss, further
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Return the product of matrices, shape (2, 2, n), and vectors, shape (2, n)."""
+    return np.asarray(matrices[:, 0] * vectors[0] + matrices[:, 1] * vectors[1])
 
 
 def reach_for(wavelength_um: float, curvature_per_mm: float) -> float:
@@ -133,7 +212,7 @@ def shoot(
     plane_z_mm: float,
     clip: bool,
 ) -> tuple[RayTrace, NDArray[np.bool_]]:
-    """Trace rays from one point along direction cosines, shape (2, n).
+    """Trace rays from one point, or from one for each ray, along direction cosines, shape (2, n).
 
     Returns
     -------
@@ -144,11 +223,12 @@ def shoot(
     """
     axial_square = 1.0 - cosines[0] ** 2 - cosines[1] ** 2
     real = axial_square > 0.0
+    if not np.all(real):
+        cosines, axial_square = np.where(real, cosines, 0.0), np.where(real, axial_square, 1.0)
     directions = np.empty((cosines.shape[1], 3))
-    directions[:, 0] = np.where(real, cosines[0], 0.0)
-    directions[:, 1] = np.where(real, cosines[1], 0.0)
-    directions[:, 2] = np.sqrt(np.where(real, axial_square, 1.0))
-    return trace_compiled(system, point[None], directions, plane_z_mm, clip=clip, threads=1), real
+    directions[:, :2] = cosines.T
+    np.sqrt(axial_square, out=directions[:, 2])
+    return trace_compiled(system, np.atleast_2d(point), directions, plane_z_mm, clip=clip, threads=1), real
 
 
 def tilted_points(points_mm: Array, tilt_deg: Sequence[float]) -> Array:
