@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -139,18 +138,11 @@ def _tested(loaded: LoadedStudy, scales: Array, fresh: int) -> Yield:
     return found
 
 
-def _with_draws(model: StudyScoreModel, draws: int) -> StudyScoreModel:
-    """Return the model with its first draws only."""
-    few = copy(model)
-    few.batch, few._deviations = model.batch.subset(slice(0, draws)), model._deviations[:draws]
-    return few
-
-
 def _constrained(model: StudyScoreModel, found: StudyBudget, target: float) -> tuple[Array, float]:
     """Return the cheapest scales of a constrained search without derivatives, and their cost."""
     from scipy.special import ndtri
 
-    few = _with_draws(model, LOSS_DRAWS)
+    few = model.with_draws(LOSS_DRAWS)
 
     def scales_at(logarithms: Array) -> Array:
         return np.exp(np.clip(logarithms, *np.log(SCALES)))

@@ -65,13 +65,16 @@ def allocate_tolerances(
     low: ArrayLike,
     high: ArrayLike,
     weights: ArrayLike = 1.0,
+    coarse: ScoreModel | None = None,
+    start: Array | None = None,
 ) -> Budget:
     """Find the scales of least cost with which the model's lenses meet the required yield.
 
     1. A logistic function of each merit's margin replaces pass and fail. SLSQP minimizes the cost over the
-       logarithms of the scales, starting at the largest common scale that meets the yield.
+       logarithms of the scales, starting at the largest common scale that meets the yield. A model of few
+       lenses is sufficient for this step.
     2. The effect of the smoothing is measured with true pass and fail and corrects the target yield. The
-       search is repeated with less smoothing.
+       search is repeated with less smoothing, and with all lenses.
     3. A common factor is bisected until the true yield just meets the requirement, with every scale within
        its range.
 
@@ -90,6 +93,10 @@ def allocate_tolerances(
         Ranges of the scales.
     weights : array_like, shape (d,)
         Weights w_i of the cost, above 0.
+    coarse
+        Scores of fewer lenses, for the first step (default: `model`).
+    start : ndarray, shape (d,)
+        Scales that a search for almost the same yield has found. The first step is then omitted.
 
     Returns
     -------
@@ -110,14 +117,14 @@ def allocate_tolerances(
     if not np.all(np.isfinite(highest) & (highest >= lowest)):
         raise InputError(f"high = {highest.tolist()}: must be finite and not below low")
     check_required(required)
-    search = _Search(model, tuple(merits), required, lowest, highest, weight)
+    search = _Search(model, coarse or model, tuple(merits), required, lowest, highest, weight)
     smallest = search.count(lowest)
     if smallest < required:
         raise InputError(
             f"required yield = {required:g}: cannot be reached; even with the smallest scales the "
             f"predicted yield is {smallest:.4g}"
         )
-    return search.run()
+    return search.run(start)
 
 
 def check_required(required: float) -> None:
@@ -132,30 +139,34 @@ class _Search:
     def __init__(
         self,
         model: ScoreModel,
+        coarse: ScoreModel,
         merits: tuple[Merit, ...],
         required: float,
         low: Array,
         high: Array,
         weights: Array,
     ) -> None:
-        self.model, self.merits, self.required = model, merits, required
+        self.model, self.coarse, self.merits, self.required = model, coarse, merits, required
         self.low, self.high, self.weights = low, high, weights
         self.evaluations = 0
         self.best: tuple[float, Array, float] | None = None
+        self.last: tuple[tuple[int, bytes], Array] | None = None
 
-    def run(self) -> Budget:
-        """Search from the best common scale and return the scales of least cost that meet the yield."""
+    def run(self, start: Array | None) -> Budget:
+        """Return the scales of least cost that meet the yield, by a search from some scales.
+
+        Without a start, the search begins at the best common scale, with few lenses.
+        """
         ones = np.ones_like(self.low)
         before = self.count(ones)
         uniform = self.largest_factor(ones)
-        found = np.clip(uniform, self.low, self.high)
         # Widths of the logistic function, in standard deviations of the scores.
-        for smoothing in (0.1, 0.05):
-            widths, target = self.widths(found, smoothing), self.required
-            for _ in range(3):
-                found = self.search(found, widths, min(target, 1.0 - 1e-4))
-                target = self.required + self.smooth_yield(found, widths) - self.count(found)
-            found = self.largest_factor(found)
+        wide, narrow = 0.1, 0.05
+        if start is None:
+            found = self.smoothed_search(self.coarse, np.clip(uniform, self.low, self.high), wide)
+        else:
+            found = np.clip(start, self.low, self.high)
+        self.largest_factor(self.smoothed_search(self.model, found, narrow))
         assert self.best is not None  # the smallest scales meet the yield
         cost, scales, good = self.best
         common = np.unique(uniform[self.low < self.high])
@@ -174,27 +185,35 @@ class _Search:
     def cost(self, scales: Array) -> float:
         return float(np.sum(self.weights / scales))
 
+    def scores(self, model: ScoreModel, scales: Array) -> Array:
+        """Return the scores of a model's lenses; those of the last scales are kept."""
+        key = (id(model), scales.tobytes())
+        if self.last is None or self.last[0] != key:
+            self.evaluations += 1
+            self.last = key, model.scores(scales)
+        return self.last[1]
+
+    def good(self, model: ScoreModel, scales: Array) -> float:
+        """Return the fraction of a model's lenses that are good."""
+        return float(np.mean(all_passed(self.merits, self.scores(model, scales))))
+
     def count(self, scales: Array) -> float:
         """Return the fraction of good lenses, and remember the scales of least cost that meet the yield."""
-        self.evaluations += 1
-        scores = self.model.scores(scales)
-        good = float(np.mean(all_passed(self.merits, scores)))
-        cost = self.cost(scales)
+        good, cost = self.good(self.model, scales), self.cost(scales)
         allowed = bool(np.all((scales >= self.low) & (scales <= self.high)))
         if good >= self.required and allowed and (self.best is None or cost < self.best[0]):
             self.best = (cost, scales, good)
         return good
 
-    def widths(self, scales: Array, smoothing: float) -> Array:
+    def widths(self, model: ScoreModel, scales: Array, smoothing: float) -> Array:
         """Return the width of each merit's logistic function, a fraction of the spread of its scores."""
-        self.evaluations += 1
-        known = [column[np.isfinite(column)] for column in self.model.scores(scales).T]
+        known = [column[np.isfinite(column)] for column in self.scores(model, scales).T]
         spread = np.array([column.std() if len(column) else 0.0 for column in known])
         return np.where(spread > 0.0, smoothing * spread, 1.0)
 
-    def smooth_yield(self, scales: Array, widths: Array) -> float:
-        self.evaluations += 1
-        return float(np.mean(np.prod(self.smooth_passes(self.model.scores(scales), widths), axis=1)))
+    def smooth_yield(self, model: ScoreModel, scales: Array, widths: Array) -> float:
+        passes = self.smooth_passes(self.scores(model, scales), widths)
+        return float(np.mean(np.prod(passes, axis=1)))
 
     def smooth_passes(self, scores: Array, widths: Array) -> Array:
         """Return the logistic function that replaces pass and fail, shape (n, m); 0 for missing scores."""
@@ -203,7 +222,20 @@ class _Search:
         margins = np.stack([merit.margin(scores[:, k]) for k, merit in enumerate(self.merits)], axis=1)
         return np.nan_to_num(expit(margins / widths), nan=0.0)
 
-    def search(self, start: Array, widths: Array, target: float) -> Array:
+    def smoothed_search(self, model: ScoreModel, start: Array, smoothing: float) -> Array:
+        """Return the scales of least cost by a model whose smoothed yield is corrected for the smoothing."""
+        found, widths, target = start, self.widths(model, start, smoothing), self.required
+        # Largest error of the yield that the common factor then corrects, at almost no cost.
+        small_error = 1e-3
+        for _ in range(3):
+            found = self.search(model, found, widths, min(target, 1.0 - 1e-4))
+            error = self.good(model, found) - self.required
+            if abs(error) <= small_error:
+                break
+            target = self.required + self.smooth_yield(model, found, widths) - self.good(model, found)
+        return found
+
+    def search(self, model: ScoreModel, start: Array, widths: Array, target: float) -> Array:
         """Return the scales of least cost whose smoothed yield reaches the target, by SLSQP."""
         base, span = np.log(self.low), np.log(self.high / self.low)
         free = np.flatnonzero(span > 0.0)
@@ -220,7 +252,7 @@ class _Search:
         def evaluate(point: Array) -> Evaluation:
             self.evaluations += 1
             scales = scales_at(point)
-            scores, slopes = self.model.slopes(scales)
+            scores, slopes = model.slopes(scales)
             passes = self.smooth_passes(scores, widths)
             lens = np.prod(passes, axis=1)
             by_score = np.nan_to_num(lens[:, None] * (1.0 - passes) * toward_good / widths)
@@ -247,9 +279,23 @@ class _Search:
             return np.clip(np.exp(logarithm) * scales, self.low, self.high)
 
         smallest, largest = np.min(np.log(self.low / scales)), np.max(np.log(self.high / scales))
+        # The factor is near 1 after a search.
+        step = 0.02
+        if self.count(times(0.0)) >= self.required:
+            smallest = 0.0
+            while step < largest and self.count(times(step)) >= self.required:
+                smallest, step = step, 4.0 * step
+            largest = min(largest, step)
+        else:
+            largest = 0.0
+            while -step > smallest and self.count(times(-step)) < self.required:
+                largest, step = -step, 4.0 * step
+            smallest = max(smallest, -step)
         if self.count(times(largest)) >= self.required:
             return times(largest)
-        for _ in range(24):
+        # Precision of the logarithm, which is that of the cost.
+        precision = 1e-5
+        while largest - smallest > precision:
             middle = 0.5 * (smallest + largest)
             if self.count(times(middle)) >= self.required:
                 smallest = middle

@@ -51,11 +51,10 @@ class _Meridian:
     square: Array
 
     def values(self, amounts: Array) -> tuple[Array, Array]:
-        """Return 1 / r^2 - 1 of each lens, and its derivatives by the amounts."""
+        """Return 1 / r^2 - 1 of each lens, and its derivatives by the combinations."""
         x = amounts @ self.combinations
         product = x @ self.square
-        values = self.constant + x @ self.linear + np.sum(product * x, axis=1)
-        return values, (self.linear + 2.0 * product) @ self.combinations.T
+        return self.constant + np.sum((self.linear + product) * x, axis=1), self.linear + 2.0 * product
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,20 +71,28 @@ class LossSurface:
 
     def scores(self, amounts: Array) -> Array:
         """Return the losses, shape (n,)."""
-        return self.slopes(amounts)[0]
+        totals = [sum(one.values(amounts)[0] for one in meridians) for meridians in self.points]
+        return np.asarray(_losses_of(np.array(totals)).max(axis=0))
 
     def slopes(self, amounts: Array) -> tuple[Array, Array]:
         """Return the losses, shape (n,), and their derivatives by the amounts, shape (n, amounts)."""
-        losses, by = [], []
-        for meridians in self.points:
-            found = [one.values(amounts) for one in meridians]
-            total = np.sum([values for values, _ in found], axis=0)
-            squares = 1.0 + np.maximum(total, 0.0)
-            losses.append(1.0 - squares**-0.5)
-            slope = np.sum([own for _, own in found], axis=0)
-            by.append(np.where(total > 0.0, 0.5 * squares**-1.5, 0.0)[:, None] * slope)
+        found = [[one.values(amounts) for one in meridians] for meridians in self.points]
+        totals = np.array([sum(values for values, _ in own) for own in found])
+        losses, by = _losses_of(totals), np.empty_like(amounts)
         worst, rows = np.argmax(losses, axis=0), np.arange(len(amounts))
-        return np.array(losses)[worst, rows], np.array(by)[worst, rows]
+        for k, (meridians, own) in enumerate(zip(self.points, found, strict=True)):
+            lenses = worst == k
+            total = totals[k, lenses]
+            slope = np.where(total > 0.0, 0.5 * (1.0 + np.maximum(total, 0.0)) ** -1.5, 0.0)
+            by[lenses] = slope[:, None] * sum(
+                one_by[lenses] @ one.combinations.T for one, (_, one_by) in zip(meridians, own, strict=True)
+            )
+        return losses[worst, rows], by
+
+
+def _losses_of(totals: Array) -> Array:
+    """Return the losses for sums of 1 / r^2 - 1 over the meridians."""
+    return np.asarray(1.0 - (1.0 + np.maximum(totals, 0.0)) ** -0.5)
 
 
 def fit_loss_surface(lens: Lens, study: Study, merit: ReconstructionLoss, amounts: Array) -> LossSurface:

@@ -9,6 +9,7 @@ the lens itself correct the errors of the model (:mod:`tolerancing.budgets.study
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -124,9 +125,9 @@ class _ExtremeRay:
 
     def _block(self, amounts: Array, derivatives: bool) -> tuple[Array, Array]:
         vectors = self.vectors(amounts)
-        lengths = np.hypot(vectors[..., 0], vectors[..., 1])
-        longest, rows = np.argmax(lengths, axis=1), np.arange(len(amounts))
-        values = lengths[rows, longest]
+        squares = vectors[..., 0] ** 2 + vectors[..., 1] ** 2
+        longest, rows = np.argmax(squares, axis=1), np.arange(len(amounts))
+        values = np.sqrt(squares[rows, longest])
         if not derivatives:
             return values, np.zeros_like(amounts)
         along = vectors[rows, longest] / values[:, None]
@@ -187,6 +188,12 @@ class StudyScoreModel:
             self.fit(values, scores)
             # A search without them comes to tolerances at which they may matter less, and be smoother.
             self._is_omitted = self._is_poor(scores)
+
+    def with_draws(self, count: int) -> StudyScoreModel:
+        """Return the model with its first drawn lenses only."""
+        few = copy(self)
+        few.batch, few._deviations = self.batch.subset(slice(0, count)), self._deviations[:count]
+        return few
 
     def fit(self, values: Array, scores: Array) -> None:
         """Fit the response surfaces of the merits that are not predicted to trials.

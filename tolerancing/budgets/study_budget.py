@@ -31,6 +31,9 @@ SCALES = (0.1, 4.0)
 MOST_ROUNDS, MODEL_ROUNDS = 8, 2
 """Largest number of rounds, and number of first rounds that rely even on an inaccurate response surface."""
 
+COARSE_DRAWS = 2048
+"""Number of drawn lenses with which a search begins."""
+
 Progress = Callable[[int, int], None]
 """Progress callback: `progress(completed, most)`, in trials of the lens."""
 
@@ -295,12 +298,12 @@ class _Rounds:
             model = StudyScoreModel(self.lens, self.study, values, scores)
             first = self.search(model)
             if model.refine(first.scales):
-                first = self.search(model)
+                first = self.search(model, first.scales)
             for index in range(MOST_ROUNDS):
                 if found is not None and index >= MODEL_ROUNDS and self.is_inaccurate(model):
                     candidate = self.scale_by_trials(model, found.budget)
                 else:
-                    candidate = self.search(model) if index else first
+                    candidate = self.search(model, found.budget.scales) if found is not None else first
                 found = self.verify(model, candidate, self.study.seed + 1 + index)
                 if found.agrees and found.is_precise:
                     break
@@ -373,8 +376,10 @@ class _Rounds:
         good = float(np.mean(self.good(model.scores(scales))))
         return replace(last, scales=scales, predicted_yield=good, cost=cost)
 
-    def search(self, model: StudyScoreModel) -> Budget:
+    def search(self, model: StudyScoreModel, start: Array | None = None) -> Budget:
         """Return the tolerances of least cost by the model, whose yield is corrected by the trials so far.
+
+        The scales of an earlier search are a good start.
 
         Raises
         ------
@@ -391,6 +396,8 @@ class _Rounds:
                 low=low,
                 high=high,
                 weights=self.costs.weights,
+                coarse=model.with_draws(COARSE_DRAWS),
+                start=start,
             )
         except InputError:
             smallest = self.smallest(model)
