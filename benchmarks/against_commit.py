@@ -1,11 +1,14 @@
-"""Calibration and reconstruction of bench frames, in turns with an older commit: processor time and results.
+"""Commands in turns with an older commit: processor time, and results of calibrations and reconstructions.
 
 A folder holds frames, the true object and `set.json`, as for `benchmarks.bench_sets`. Each version runs the
 commands as users type them, in processes of its own and with the same installed libraries:
 `wavesim calibrate`, and `wavesim reconstruct --calibration` with its result. For this version, the
 reconstruction is measured twice: with the object that the calibration has judged, and without it.
 
+With `--command`, each version runs a command of any package instead, and prints its last lines:
+
     python -m benchmarks.against_commit COMMIT [--rounds 1] [FOLDER ...]
+    python -m benchmarks.against_commit COMMIT --command "lensdesign optimize SPEC -o found.toml"
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import argparse
 import json
 import os
 import resource
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -41,7 +45,16 @@ def main() -> None:
     parser.add_argument("commit")
     parser.add_argument("folders", nargs="*", type=Path, default=[GOLDEN])
     parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--command")
     given = parser.parse_args()
+    if given.command is not None:
+        with _checkout(given.commit) as older:
+            words = shlex.split(given.command)
+            print_table(
+                f"{given.command}, this version and {given.commit}",
+                _rows_of_command(words, older, given.rounds),
+            )
+        return
     with _checkout(given.commit) as older:
         for folder in given.folders:
             print_table(
@@ -60,6 +73,17 @@ def _checkout(commit: str) -> Iterator[Path]:
             yield path
         finally:
             subprocess.run(["git", "worktree", "remove", "--force", path], cwd=ROOT, check=True)
+
+
+def _rows_of_command(words: list[str], older: Path, rounds: int) -> list[Row]:
+    seconds: dict[str, list[float]] = {"older": [], "this": []}
+    for _ in range(rounds):
+        for version, root in (("older", older), ("this", ROOT)):
+            time_s, text = _spent(root, *words)
+            seconds[version].append(time_s)
+            print(f"{version}:", *text.splitlines()[-12:], sep="\n", flush=True)
+    rows = [Row(version, median(times), "s") for version, times in seconds.items()]
+    return [*rows, Row("ratio", median(seconds["this"]) / median(seconds["older"]), at_most=0.5)]
 
 
 def _rows(folder: Path, older: Path, rounds: int) -> list[Row]:
@@ -111,10 +135,17 @@ def _write_object(path: Path, target: Path, frame: Path) -> Path:
 
 def _run(root: Path, *words: object) -> tuple[float, dict[str, Any]]:
     """Run `wavesim` of a version, and return its processor time and its result."""
+    spent, text = _spent(root, "wavesim", *words)
+    result: dict[str, Any] = json.loads(text)
+    return spent, result
+
+
+def _spent(root: Path, package: str, *words: object) -> tuple[float, str]:
+    """Run the command of a package of a version, and return its processor time and what it prints."""
     environment = os.environ | {"PYTHONPATH": str(root)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
-        [sys.executable, "-c", "from wavesim.cli import main; main()", *map(str, words)],
+        [sys.executable, "-c", f"from {package}.cli import main; main()", *map(str, words)],
         cwd=root,
         env=environment,
         capture_output=True,
@@ -125,9 +156,7 @@ def _run(root: Path, *words: object) -> tuple[float, dict[str, Any]]:
         raise RuntimeError(
             f"{' '.join(map(str, words))}: exit status {done.returncode}\n{done.stderr[-2000:]}"
         )
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    result: dict[str, Any] = json.loads(done.stdout)
-    return spent, result
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stdout
 
 
 if __name__ == "__main__":
