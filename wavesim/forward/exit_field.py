@@ -250,8 +250,11 @@ class ExitField:
             self._spectrum_change = _sum_of(self._spectrum_change, plane.propagator.adjoint(field))
         return sums
 
-    def advance(self, fraction: float) -> None:
-        """Move the field by a fraction of the collected change, and begin to collect a new one."""
+    def advance(self, fraction: float, weight: float = 1.0) -> None:
+        """Move the field by a fraction of the collected change, and begin to collect a new one.
+
+        The collected change enters the sum of all changes with a weight.
+        """
         if self.pixels is not None:
             assert self._spectrum_change is not None
             change, field = self._spectrum_change, self.spectrum
@@ -261,6 +264,8 @@ class ExitField:
             change, field = self._take_new_change(), self.values
             self._spectrum = None
         add_fraction(field, change, fraction)
+        if weight != 1.0:
+            change *= change.real.dtype.type(weight)
         self._total_change = _sum_of(self._total_change, change)
 
     def take_change(self) -> ComplexArray:
@@ -269,11 +274,12 @@ class ExitField:
         total_change, self._total_change = self._total_change, None
         if total_change is None:
             return self._take_new_change()
+        has_new = self._change is not None or self._spectrum_change is not None
         if self.pixels is None:
-            return _sum_of(total_change, self._take_new_change())
-        assert self._spectrum_change is not None
-        total_change += self._spectrum_change
-        self._spectrum_change = None
+            return _sum_of(total_change, self._take_new_change()) if has_new else total_change
+        if self._spectrum_change is not None:
+            total_change += self._spectrum_change
+            self._spectrum_change = None
         return np.asarray(scipy.fft.ifftn(total_change, workers=-1, overwrite_x=True))
 
     def _take_new_change(self) -> ComplexArray:

@@ -83,6 +83,9 @@ class ForwardModel:
         For each plane, the rows of the exit grid in which the engine gives the field on its pixels. The
         pixels are then points, and planes lie at distance 0. Default: planes are reached through free space
         from the whole grid.
+    planes_in_turn
+        Whether, after the first inner iteration, each plane imposes its amplitudes on the field that the
+        plane before has left. Light of several modes uses all planes at once.
     """
 
     def __init__(
@@ -95,7 +98,10 @@ class ForwardModel:
         scratch: Scratch | None = None,
         modes: Sequence[SourceMode] = (),
         rows: Sequence[slice] = (),
+        *,
+        planes_in_turn: bool = False,
     ) -> None:
+        self.planes_in_turn = planes_in_turn
         self.engine, self.illumination, self.recorded, self.rows = engine, illumination, recorded, rows
         self.fill_factor, self.modes = fill_factor, modes if len(modes) > 1 else ()
         self.blur_mm = recorded[0].blur_mm
@@ -197,10 +203,14 @@ class ForwardModel:
         next_scale = scale
         if fits_scale:  # for the next steps, so that planes are not propagated for the scale alone
             next_scale = fitted_scale((plane_sums.cross, plane_sums.power) for plane_sums in sums)
-        for _ in range(inner_iterations - 1):
-            exit_field.advance(length / len(self.recorded))
+        fraction = length / len(self.recorded)
+        for index in range(inner_iterations - 1):
+            if index == 0 or not self.planes_in_turn:
+                exit_field.advance(fraction)
             for plane in self._planes:
                 exit_field.replace_amplitudes(plane, next_scale)
+                if self.planes_in_turn:
+                    exit_field.advance(1.0, 1.0 / fraction)
         change = self._adjoint_to_object(exit_field.take_change(), self.illumination)
         misfit = scale * math.sqrt(sum_of_parts(sums).squared_misfit) / self.size
         return Step(change, misfit, next_scale)
