@@ -51,12 +51,13 @@ from wavesim.reconstruction.problem import (
 )
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably, saved_state
+from wavesim.reconstruction.search_rules import step_rule
 from wavesim.reconstruction.source_search import WIDTHS, find_source, sought_widths
 from wavesim.runtime.checkpoint import STOP_TRIALS, Checkpoint
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import SAFETY, Engine, Tiled
 from wavesim.scene.scattered_light import Light
-from wavesim.scene.settings import ReconstructionSettings, SettingError
+from wavesim.scene.settings import Kind, ReconstructionSettings, SettingError
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.recording import Progress
@@ -396,8 +397,8 @@ def _coarse_start(
     small = coarse_problem(case.engine.scene, case.light, case.given)
     if small is None:
         return None
-    kind = "amplitude" if settings.first == "amplitude" else settings.kind
-    engine = imaging_engine(small.scene, settings, runs=2 * ITERATIONS, light=Light(small.light))
+    kind: Kind = "amplitude" if settings.first == "amplitude" else settings.kind
+    engine = imaging_engine(small.scene, settings, runs=2 * ITERATIONS[kind], light=Light(small.light))
     with _prepared_engine(engine, hand_over, reporter) as ready:
         found = reconstruct(
             ready,
@@ -405,13 +406,14 @@ def _coarse_start(
             small.recorded,
             kind=kind,
             tv_weight=settings.tv_weight,
-            iterations=min(ITERATIONS, settings.most_iterations),
+            iterations=min(ITERATIONS[kind], settings.most_iterations),
             until_noise=True,
             scale=settings.scale,
             fill_factor=settings.fill_factor,
             progress=reporter.coarse_iteration,
             residuals=False,
             inner_iterations=INNER_ITERATIONS,
+            step_rule=step_rule(kind, case.engine),
         )
     values = found.transmission.values
     values = on_all_samples(values.real if kind == "amplitude" else values, case.light.grid.shape)

@@ -39,7 +39,7 @@ from wavesim.forward.colour_model import ColourModel
 from wavesim.forward.exit_field import ROWS
 from wavesim.forward.forward_model import ForwardModel, Step
 from wavesim.reconstruction.phase_retrieval import validate_planes
-from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop, stop_reason
+from wavesim.reconstruction.stop_rule import FAR, STOPPED, TOLERANCE, Stop, stop_reason
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Grids, Operator
@@ -144,6 +144,28 @@ class SolverState:
     began: int
 
 
+class StepRule(NamedTuple):
+    """Steps far from the noise, and the end of the iterations at the noise.
+
+    Attributes
+    ----------
+    relaxation : float
+        Factor of a step with inner iterations.
+    planes_in_turn : bool
+        Whether inner iterations process the planes in turn (:class:`ForwardModel`).
+    noise_tolerance : float
+        Relative change of the misfit below which iterations end at the noise.
+    """
+
+    relaxation: float = 1.0
+    planes_in_turn: bool = False
+    noise_tolerance: float = TOLERANCE
+
+
+USUAL_STEPS = StepRule()
+"""Steps of all searches but those of a whole field."""
+
+
 class Stage(NamedTuple):
     """Stage of a search: kind of object, iteration at which it ends, and whether it has total variation."""
 
@@ -175,6 +197,7 @@ def reconstruct(
     bounded: bool = True,
     tv_factor: float = 1.0,
     iterations_without_tv: int = 0,
+    step_rule: StepRule = USUAL_STEPS,
 ) -> Reconstructed:
     """Find the transmission of the object behind measured amplitudes.
 
@@ -242,6 +265,8 @@ def reconstruct(
         misfit converges. The total variation holds edges where the first iterations have put them; without
         it, they move to where the measured amplitudes have them. Those that are not used are added to
         `iterations`.
+    step_rule
+        Steps far from the noise, and the end at the noise.
 
     Returns
     -------
@@ -296,6 +321,7 @@ def reconstruct(
         scratch,
         modes,
         rows,
+        planes_in_turn=step_rule.planes_in_turn,
     )
     weight, noise = (0.0, tv_factor * model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
     descent = ProximalDescent(
@@ -310,6 +336,7 @@ def reconstruct(
         scratch,
         inner_iterations,
         bounded,
+        step_rule=step_rule,
     )
     stages = [Stage(kind, iterations_without_tv + iterations)]
     if iterations_without_tv:
@@ -365,6 +392,7 @@ class ProximalDescent:
     inner_iterations: int
     bounded: bool
     prox: Callable[[Array, float], Array] = prox_tv
+    step_rule: StepRule = USUAL_STEPS
 
     def run(self, state: SolverState, stages: Sequence[Stage]) -> SolverState:
         """Return the state after all stages."""
@@ -441,7 +469,8 @@ class ProximalDescent:
             fits_scale=self.fits_scale_after(kind, len(state.misfit)),
         )
         point = step.change
-        point *= point.real.dtype.type(STEP)
+        relaxation = self.step_rule.relaxation if inner_iterations > 1 else 1.0
+        point *= point.real.dtype.type(STEP * relaxation)
         if kind == "amplitude":
             return step._replace(change=point.real + state.ahead.real)
         point += state.ahead
@@ -456,7 +485,12 @@ class ProximalDescent:
     def stop(self, state: SolverState) -> Stop | None:
         """Return the reason to stop, or None if iterations continue."""
         misfits = state.misfit[state.began :]
-        return stop_reason(misfits, self.misfit_of_noise, until_noise=self.until_noise)
+        return stop_reason(
+            misfits,
+            self.misfit_of_noise,
+            until_noise=self.until_noise,
+            noise_tolerance=self.step_rule.noise_tolerance,
+        )
 
 
 def _project_on_unit_circle(values: Array) -> None:

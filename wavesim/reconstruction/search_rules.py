@@ -15,6 +15,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wavesim.reconstruction.object_solver import INNER_ITERATIONS, USUAL_STEPS, StepRule
+from wavesim.reconstruction.stop_rule import TOLERANCE
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import Measurement, full_weight_sigma
@@ -23,6 +25,34 @@ SINGLE_EXPOSURE_FACTOR = 1.4
 """Factor of the automatic total variation where no pixel has less than half of the standard deviation of the
 brightest ones, as with single exposures.
 """
+
+WHOLE_FIELD_STEPS = StepRule(relaxation=1.3, planes_in_turn=True, noise_tolerance=4e-2)
+"""Steps of an amplitude or phase object of a whole field, where an iteration takes minutes.
+
+Two inner iterations whose planes are processed in turn gain as much as four with all planes at once. They
+fulfil the frames on the exit grid, but the object can follow only about half of the change there. A longer
+step makes up for a part of that.
+"""
+
+WHOLE_COMPLEX_FIELD_STEPS = WHOLE_FIELD_STEPS._replace(relaxation=1.0, noise_tolerance=TOLERANCE)
+"""Steps of a complex object of a whole field. It follows the whole change, so that longer steps gain nothing,
+and it still improves clearly while its misfit changes little at the noise.
+"""
+
+WHOLE_FIELD_INNER_ITERATIONS = 2
+"""Inner iterations of a step of a whole field."""
+
+
+def step_rule(kind: Kind, engine: Engine) -> StepRule:
+    """Return the rule of the steps for a kind of object and an engine."""
+    if not isinstance(engine, Tiled):
+        return USUAL_STEPS
+    return WHOLE_COMPLEX_FIELD_STEPS if kind == "complex" else WHOLE_FIELD_STEPS
+
+
+def inner_iterations(engine: Engine) -> int:
+    """Return the number of inner iterations of a step far from the noise."""
+    return WHOLE_FIELD_INNER_ITERATIONS if isinstance(engine, Tiled) else INNER_ITERATIONS
 
 
 def ends_at_noise(kind: Kind, engine: Engine) -> bool:

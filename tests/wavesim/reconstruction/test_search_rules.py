@@ -9,13 +9,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavesim.reconstruction.search_rules import SINGLE_EXPOSURE_FACTOR, ends_at_noise, tv_factor
+from wavesim.engines.eikonal.engine import HierarchicalTiles
+from wavesim.reconstruction.object_solver import INNER_ITERATIONS, STEP, USUAL_STEPS
+from wavesim.reconstruction.search_rules import (
+    SINGLE_EXPOSURE_FACTOR,
+    WHOLE_COMPLEX_FIELD_STEPS,
+    WHOLE_FIELD_STEPS,
+    ends_at_noise,
+    inner_iterations,
+    step_rule,
+    tv_factor,
+)
+from wavesim.reconstruction.stop_rule import TOLERANCE
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import Measurement, recorded_intensity
 
 SMALL = cast(Engine, object())
 """An engine that is not that of a whole field."""
+
+WHOLE = HierarchicalTiles.__new__(HierarchicalTiles)
+"""An engine of a whole field."""
 
 
 def plane(exposures: tuple[float, ...]) -> Measurement:
@@ -49,3 +63,18 @@ def test_only_complex_objects_end_at_the_noise(kind: Kind) -> None:
     assert ends_at_noise(kind, SMALL) == (kind == "complex")
     if kind == "complex":
         assert tv_factor(kind, SMALL, [plane((1.0,))]) == 1.0
+
+
+def test_only_a_whole_field_has_longer_steps() -> None:
+    assert step_rule("amplitude", SMALL) == USUAL_STEPS
+    assert inner_iterations(SMALL) == INNER_ITERATIONS > inner_iterations(WHOLE)
+    assert step_rule("amplitude", WHOLE) == step_rule("phase", WHOLE) == WHOLE_FIELD_STEPS
+    assert step_rule("complex", WHOLE) == WHOLE_COMPLEX_FIELD_STEPS
+    assert WHOLE_COMPLEX_FIELD_STEPS.noise_tolerance == TOLERANCE < WHOLE_FIELD_STEPS.noise_tolerance
+
+
+def test_longer_steps_are_stable() -> None:
+    """Planes in turn leave nothing of a part that all planes see. Accelerated steps are stable up to 4/3."""
+    assert WHOLE_FIELD_STEPS.planes_in_turn
+    assert STEP <= 4.0 / 3.0
+    assert WHOLE_FIELD_STEPS.relaxation <= 4.0 / 3.0
