@@ -37,6 +37,7 @@ SCRIPTS = (
     "polarized_frames",
     "reconstruction",
     "perfect_benches",
+    "whole_field",
     "colours",
     "cover_glass",
     "iterations",
