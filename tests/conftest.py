@@ -12,7 +12,7 @@ from compile_once import take_turns
 from cores import keep_to_own_cores
 from hypothesis import HealthCheck, settings
 from places import DESIGNS, GOLDEN, ROOT
-from slow_tests import Recorder, mark_slow
+from slow_tests import FixtureClock, Recorder, mark_slow
 
 from lensdesign import Lens, load_design
 
@@ -29,6 +29,14 @@ HUNG_SECONDS = 0 if os.environ.get("DOCUMENTED_COMMANDS") == "all" else 600
 LONG = (
     "test_documented_commands.py",
     "wavesim/calibration/test_frame_calibration.py",
+    "wavesim/reconstruction/diagnostics/",
+    "lensdesign/optimization/test_search.py",
+    "test_documentation.py",
+    "test_gallery.py",
+    "tolerancing/cli/",
+    "test_perfect_benches.py",
+    "test_site.py",
+    "test_documented_figures.py",
     "lensdesign/optimization/limits/",
     "wavesim/engines/eikonal/test_on_cluster.py",
     "wavesim/engines/test_registry_memory.py",
@@ -47,19 +55,20 @@ LONG = (
     "test_examples.py",
     "test_notebooks.py",
     "studio/",
-    "lensdesign/optimization/test_search.py",
-    "tolerancing/cli/",
     "wavesim/",
 )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Workers compile in turns, each on cores of its own."""
+    recorded = os.environ.get("RECORD_SLOW_TESTS")
+    if recorded:
+        config.pluginmanager.register(FixtureClock())
     if "PYTEST_XDIST_WORKER" in os.environ:
         keep_to_own_cores()
         take_turns(Path(__file__))
-    elif os.environ.get("RECORD_SLOW_TESTS"):
-        config.pluginmanager.register(Recorder())
+    elif recorded:
+        config.pluginmanager.register(Recorder(adds=recorded == "more"))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
