@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from html import unescape
 
 import panel as pn
+import pytest
 
 from lensdesign.analysis.oversampling import oversampling_of
 from lensdesign.lens.lens import Lens
@@ -19,26 +21,27 @@ def shown_text(pane: pn.viewable.Viewable) -> str:
     return " ".join(unescape(re.sub(r"<[^>]*>", " ", html)).split())
 
 
-def test_limits_and_perturbations_are_named_in_words(paper_lens: Lens) -> None:
+@pytest.fixture(scope="module")
+def settled(paper_lens: Lens) -> Iterator[Workbench]:
+    """The paper's lens with all its figures."""
     bench = Workbench(paper_lens)
     try:
         bench.settle()
-        shown = shown_text(as_built(bench))
+        yield bench
     finally:
         bench.close()
+
+
+def test_limits_and_perturbations_are_named_in_words(settled: Workbench) -> None:
+    shown = shown_text(as_built(settled))
     assert re.search(r"rms at most \S+ waves", shown)
     assert re.search(r"largest spread at most \S+°", shown)
     assert "decenter y" in shown
     assert not re.search(r"\w_\w|\b(deg|mm) \d+ %", shown)
 
 
-def test_oversampling_ratios_are_those_of_the_check(paper_lens: Lens) -> None:
-    bench = Workbench(paper_lens)
-    try:
-        bench.settle()
-        shown = shown_text(findings(bench))
-    finally:
-        bench.close()
+def test_oversampling_ratios_are_those_of_the_check(settled: Workbench, paper_lens: Lens) -> None:
+    shown = shown_text(findings(settled))
     found = oversampling_of(paper_lens, "complex")
     near, far = found.ratio_of_planes
     assert f"oversampling, complex object {near:.2f}, {far:.2f}; all planes {found.ratio:.2f}" in shown
