@@ -19,6 +19,8 @@ from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.imaging import image
 
+pytestmark = pytest.mark.usefixtures("plain_searches")
+
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
 PLANES_MM = LENS.sensor.plane_distances_mm
 TILES = {"patch_mm": 0.024, "engine": "eikonal", "error": 0.3}
@@ -57,6 +59,7 @@ def test_another_object_and_other_noise_are_explained() -> None:
     assert found.explained, found.words
 
 
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize(
     ("errors", "cause"),
     [
@@ -119,6 +122,7 @@ def test_several_starts_end_at_one_object() -> None:
     assert found.agreement > 0.9
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_wide_source_is_tried_and_named() -> None:
     found = found_in(frames_of(source_deg=1.0)).verdict
     assert not found.explained
@@ -127,6 +131,7 @@ def test_a_wide_source_is_tried_and_named() -> None:
     assert "source" in found.words
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_broad_band_is_tried_named_and_found() -> None:
     frames = image(
         LENS, "star", exposures=(1.0, 30.0), pixels=108, bandwidth_nm=50.0, **TILES | {"error": 0.05}
