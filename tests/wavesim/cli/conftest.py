@@ -6,8 +6,21 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from plain_searches import search_plainly
 from programs import Command
 from wavesim_command import frames_and_design, write_frames
+
+
+@pytest.fixture
+def whole_search() -> None:
+    """Reconstructions improve the limit, edges and position of the first object."""
+
+
+@pytest.fixture(autouse=True)
+def first_objects(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other commands are tested with the solver's first object, which is found sooner."""
+    if "whole_search" not in request.fixturenames:
+        search_plainly(monkeypatch)
 
 
 @pytest.fixture(scope="session")

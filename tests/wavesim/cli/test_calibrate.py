@@ -101,7 +101,7 @@ def test_its_figures_are_those_of_a_reconstruction_with_it(
     used = reconstructed()
     assert used["found_by"] == "calibration"
     assert used["verdict"] == calibrated["verdict"]
-    for options in (("--iterations", 20), ("--starts", 2)):
+    for options in (("--iterations", 2), ("--starts", 2)):
         assert "found_by" not in reconstructed(*options)
     judged.write_bytes(judged.read_bytes()[:2000])  # a damaged file does no harm
     anew = reconstructed()
