@@ -2,9 +2,10 @@
 
 Commands run in this process, through the entry points of the console scripts: starting a hundred interpreters
 would take longer than what they do. `make commands` (DOCUMENTED_COMMANDS=all) also runs those that take about
-a minute or more (LONG), and those that read their results; otherwise only their arguments are checked. A
+half a minute or more (LONG), and those that read their results; otherwise only their arguments are checked. A
 command that pages share is run once for the same files (Runner). What a page shows of a command's output, the
-command must print.
+command must print. Where no page shows it, verdicts are found without trials of causes and without the score
+test; `make commands` runs both everywhere.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import NamedTuple
 
 import pytest
 from places import DESIGNS, GOLDEN, ROOT
+from quick_verdicts import judge_quickly
 from small_pictures import draw_few_dots
 from typer.main import get_command
 
@@ -42,10 +44,13 @@ PLACEHOLDERS = {
     r"\bFILE(\.\w+)": r"file\1",
     r"\bFILE\b": "file.stl",
 }
-# Commands that take about a minute or more: only `make commands` runs them, and what reads their results.
+# Commands that take about half a minute or more: only `make commands` runs them, and what reads their
+# results.
 LONG = (
     r"--engine hierarchical",  # the whole field of the full-size lens
     r"^wavesim compare-engines ",  # every setting of every engine on a chart
+    r"^wavesim plan designs/paper_singlet",  # plans for small twins run
+    r"^wavesim (check-engine --engine wpm --solution stigmatic|resolve-lines .*--engine wpm)",
     r"^wavesim resolve-lines .* --field-heights-mm 0,1\.4 .*slices=200",
     r"^wavesim image designs/phone_lens\.toml",  # at three wavelengths
     r"^tolerancing budget ",  # verified by trials
@@ -63,6 +68,7 @@ class Step(NamedTuple):
 
     kind: str  # "run" a command, "save" a TOML block of a named file, "see" what a command said
     text: str
+    block: int = 0  # of its page; text between fences is one, too
 
 
 def steps(page: Path) -> list[Step]:
@@ -70,21 +76,33 @@ def steps(page: Path) -> list[Step]:
     text = page.read_text(encoding="utf-8")
     found: list[Step] = []
     at = 0
-    for fence in FENCE.finditer(text):
-        found += _commands(text[at : fence.start()])
+    for number, fence in enumerate(FENCE.finditer(text)):
+        found += _commands(text[at : fence.start()], 2 * number)
         if fence[1] in ("sh", "console"):
-            found += _commands(fence[2])
+            found += _commands(fence[2], 2 * number + 1)
         elif fence[1] == "toml" and (NAMED.match(fence[2]) or "\ndesign = " in fence[2]):
             found.append(Step("save", fence[2]))
         elif fence[1] == "text":
             found.append(Step("see", fence[2]))
         at = fence.end()
-    return found + _commands(text[at:])
+    return found + _commands(text[at:], -1)
 
 
-def _commands(text: str) -> list[Step]:
+def _commands(text: str, block: int) -> list[Step]:
     lines = [re.split(r"\s#", line)[0].strip() for line in text.splitlines()]
-    return [Step("run", line) for line in lines if COMMAND.match(line)]
+    return [Step("run", line, block) for line in lines if COMMAND.match(line)]
+
+
+def shown(page: list[Step]) -> set[int]:
+    """Blocks of commands after which the page shows what they print."""
+    blocks: set[int] = set()
+    last: int | None = None
+    for step in page:
+        if step.kind == "run":
+            last = step.block
+        elif step.kind == "see" and last is not None:
+            blocks.add(last)
+    return blocks
 
 
 def commands_in_text() -> list[str]:
@@ -141,14 +159,17 @@ class Runner:
     """Runs commands as their console scripts do, each once for the same files."""
 
     def __init__(self) -> None:
-        self.before: dict[tuple[str, str], Done] = {}
+        self.before: dict[tuple[str, str, bool], Done] = {}
 
-    def run(self, command: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Done:
+    def run(self, command: str, capfd: pytest.CaptureFixture[str], *, is_shown: bool = False) -> Done:
         """Run a command in the working folder, or write there what it wrote when it was run."""
-        key = command, self._digest(command)
+        key = command, self._digest(command), is_shown
         if key not in self.before:
             there = self._files()
-            status = self._status(shlex.split(command), monkeypatch)
+            with pytest.MonkeyPatch.context() as monkeypatch:
+                if not is_shown and not ALL:
+                    judge_quickly(monkeypatch)
+                status = self._status(shlex.split(command), monkeypatch)
             changed = [path for path, state in self._files().items() if there.get(path) != state]
             said = capfd.readouterr()
             self.before[key] = Done(status, said.out, said.err, {path: path.read_bytes() for path in changed})
@@ -203,10 +224,10 @@ def test_commands_of_the_page_run(
     page: Path,
     folder: Path,
     runner: Runner,
-    monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     printed, all_ran, missing = "", True, set[str]()
+    shown_blocks = shown(steps(page))
     for step in steps(page):
         if step.kind == "save":
             named = NAMED.match(step.text)
@@ -222,18 +243,16 @@ def test_commands_of_the_page_run(
             if is_left_out(command, missing):
                 all_ran = False
                 continue
-            done = runner.run(command, monkeypatch, capfd)
+            done = runner.run(command, capfd, is_shown=step.block in shown_blocks)
             assert done.status == bool(NOT_MET.match(command)), f"{command}\n{done.err}"
             printed += done.out
 
 
-def test_commands_in_the_text_run(
-    folder: Path, runner: Runner, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_in_the_text_run(folder: Path, runner: Runner, capfd: pytest.CaptureFixture[str]) -> None:
     found = commands_in_text()
     assert len(found) > 5
     for command in (one for one in found if not cannot_end(one) and not is_left_out(one, set())):
-        done = runner.run(command, monkeypatch, capfd)
+        done = runner.run(command, capfd)
         assert done.status == bool(NOT_MET.match(command)), f"{command}\n{done.err}"
 
 
