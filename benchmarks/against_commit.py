@@ -27,14 +27,13 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import numpy as np
-
-from benchmarks.bench_sets import GOLDEN
+from benchmarks.bench_sets import GOLDEN, design_of, true_object
 from benchmarks.timing import Row, print_table
-from wavesim import read_frames
-from wavesim.fields.field import Field, Grid
+from lensdesign import load_design
 from wavesim.fields.files import write_field
 from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT
+from wavesim.scene.settings import PatchSettings
+from wavesim.targets.patch import lit_patch
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -108,29 +107,18 @@ def _rows(folder: Path, older: Path, rounds: int) -> list[Row]:
 
 def _measured(folder: Path, root: Path, place: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """Yield name, processor time and result of each command of one version."""
-    about = json.loads((folder / "set.json").read_text())
-    own = folder.with_suffix(".toml")
-    frames = [folder / name for name in about["files"]]
-    given = [*frames, "--design", own if own.exists() else folder.parent / "nominal.toml"]
+    about, design = json.loads((folder / "set.json").read_text()), design_of(folder)
+    settings = PatchSettings(patch_mm=about["patch_mm"])
+    given = [*(folder / name for name in about["files"]), "--design", design]
     given += ["--patch-mm", about["patch_mm"], "--kind", about.get("kind", "amplitude"), "--json"]
-    truth = folder / "object.npz"
-    if not truth.exists():
-        truth = _write_object(folder / "truth.npz", place / "true.npz", frames[0])
+    truth = place / "true.npz"
+    write_field(true_object(folder, lit_patch(load_design(design), settings)[0]), truth)
     yield "calibrate", *_run(root, "calibrate", *given, "-o", place / "bench")
     command = ("reconstruct", *given, "--calibration", place / "bench" / "calibration.json")
     yield "reconstruct", *_run(root, *command, "--truth", truth, "-o", place / "object")
     if (place / "bench" / JUDGED_OBJECT).exists():
         (place / "bench" / JUDGED_OBJECT).unlink()
         yield "reconstruct anew", *_run(root, *command, "--truth", truth, "-o", place / "anew")
-
-
-def _write_object(path: Path, target: Path, frame: Path) -> Path:
-    """Write the field of an object from its transmission and its field stop."""
-    with np.load(path) as stored:
-        values, pitch_mm = stored["transmission"] * stored["inside"], 1e-3 * float(stored["pitch_um"])
-    grid = Grid(values.shape, pitch_mm)
-    write_field(Field(grid, values, read_frames([frame])[0].settings.wavelength_um), target)
-    return target
 
 
 def _run(root: Path, *words: object) -> tuple[float, dict[str, Any]]:
