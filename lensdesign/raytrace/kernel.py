@@ -342,8 +342,6 @@ def _one_by_one(
 @_jit
 def newton(x, y, z, dx, dy, dz, t, formulas, code, terms, surface=-1, figures=None, trial=0):
     """Return the distance of a ray to a surface from a first guess, and the status of the ray."""
-    # A step this short, times the slope, leaves less than rounding, because each step squares the error.
-    last_step = 1e-9
     settled_before = False
     for _ in range(NEWTON_STEPS):
         px, py = x + t * dx, y + t * dy
@@ -354,8 +352,6 @@ def newton(x, y, z, dx, dy, dz, t, formulas, code, terms, surface=-1, figures=No
         if not (abs(step) < np.inf) or abs(slope) <= 1e-12:
             return t, MISSED
         t -= step
-        if abs(step) <= last_step * abs(slope):
-            return t, OK if slope > 0.0 else MISSED
         settled = abs(step) <= 1e-14 * (1.0 + abs(t))
         if settled and settled_before:
             return t, OK if slope > 0.0 else MISSED
