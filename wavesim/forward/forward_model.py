@@ -83,9 +83,6 @@ class ForwardModel:
         For each plane, the rows of the exit grid in which the engine gives the field on its pixels. The
         pixels are then points, and planes lie at distance 0. Default: planes are reached through free space
         from the whole grid.
-    planes_in_turn
-        Whether, after the first inner iteration, each plane imposes its amplitudes on the field that the
-        plane before has left. Light of several modes uses all planes at once.
     """
 
     def __init__(
@@ -98,10 +95,7 @@ class ForwardModel:
         scratch: Scratch | None = None,
         modes: Sequence[SourceMode] = (),
         rows: Sequence[slice] = (),
-        *,
-        planes_in_turn: bool = False,
     ) -> None:
-        self.planes_in_turn = planes_in_turn
         self.engine, self.illumination, self.recorded, self.rows = engine, illumination, recorded, rows
         self.fill_factor, self.modes = fill_factor, modes if len(modes) > 1 else ()
         self.blur_mm = recorded[0].blur_mm
@@ -173,6 +167,7 @@ class ForwardModel:
         *,
         scale: float | None = None,
         fits_scale: bool = False,
+        planes_in_turn: bool = False,
     ) -> Step:
         """Return the change of the transmission that reduces the misfit, and the misfit before it.
 
@@ -190,6 +185,9 @@ class ForwardModel:
             Measured amplitude per unit of the modelled amplitude; default: that of the model.
         fits_scale
             Whether the scale of the next step is fitted. Without a scale, that of this step is fitted, too.
+        planes_in_turn
+            Whether, after the first inner iteration, each plane imposes its amplitudes on the field that the
+            plane before has left. Light of several modes uses all planes at once.
         """
         if self.modes:
             return self._step_with_modes(transmission, inner_iterations, length, scale, fits_scale)
@@ -205,11 +203,11 @@ class ForwardModel:
             next_scale = fitted_scale((plane_sums.cross, plane_sums.power) for plane_sums in sums)
         fraction = length / len(self.recorded)
         for index in range(inner_iterations - 1):
-            if index == 0 or not self.planes_in_turn:
+            if index == 0 or not planes_in_turn:
                 exit_field.advance(fraction)
             for plane in self._planes:
                 exit_field.replace_amplitudes(plane, next_scale)
-                if self.planes_in_turn:
+                if planes_in_turn:
                     exit_field.advance(1.0, 1.0 / fraction)
         change = self._adjoint_to_object(exit_field.take_change(), self.illumination)
         misfit = scale * math.sqrt(sum_of_parts(sums).squared_misfit) / self.size

@@ -51,7 +51,7 @@ from wavesim.reconstruction.problem import (
 )
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably, saved_state
-from wavesim.reconstruction.search_rules import step_rule
+from wavesim.reconstruction.search_rules import coarse_step_rule
 from wavesim.reconstruction.source_search import WIDTHS, find_source, sought_widths
 from wavesim.runtime.checkpoint import STOP_TRIALS, Checkpoint
 from wavesim.runtime.memory import Memory
@@ -398,7 +398,7 @@ def _coarse_start(
     if small is None:
         return None
     kind: Kind = "amplitude" if settings.first == "amplitude" else settings.kind
-    engine = imaging_engine(small.scene, settings, runs=2 * ITERATIONS[kind], light=Light(small.light))
+    engine = imaging_engine(small.scene, settings, runs=2 * ITERATIONS, light=Light(small.light))
     with _prepared_engine(engine, hand_over, reporter) as ready:
         found = reconstruct(
             ready,
@@ -406,14 +406,14 @@ def _coarse_start(
             small.recorded,
             kind=kind,
             tv_weight=settings.tv_weight,
-            iterations=min(ITERATIONS[kind], settings.most_iterations),
+            iterations=min(ITERATIONS, settings.most_iterations),
             until_noise=True,
             scale=settings.scale,
             fill_factor=settings.fill_factor,
             progress=reporter.coarse_iteration,
             residuals=False,
             inner_iterations=INNER_ITERATIONS,
-            step_rule=step_rule(kind, case.engine),
+            step_rule=coarse_step_rule(kind),
         )
     values = found.transmission.values
     values = on_all_samples(values.real if kind == "amplitude" else values, case.light.grid.shape)

@@ -152,7 +152,7 @@ class StepRule(NamedTuple):
     relaxation : float
         Factor of a step with inner iterations.
     planes_in_turn : bool
-        Whether inner iterations process the planes in turn (:class:`ForwardModel`).
+        Whether inner iterations process the planes in turn (:meth:`ForwardModel.step`).
     noise_tolerance : float
         Relative change of the misfit below which iterations end at the noise.
     """
@@ -321,7 +321,6 @@ def reconstruct(
         scratch,
         modes,
         rows,
-        planes_in_turn=step_rule.planes_in_turn,
     )
     weight, noise = (0.0, tv_factor * model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
     descent = ProximalDescent(
@@ -461,16 +460,17 @@ class ProximalDescent:
 
     def _gradient_step(self, state: SolverState, kind: Kind, inner_iterations: int) -> Step:
         """Return the point after a gradient step from the extrapolated point, and the misfit there."""
+        rule = self.step_rule if inner_iterations > 1 else USUAL_STEPS
         step = self.model.step(
             state.ahead,
             inner_iterations,
             STEP,
             scale=state.scale,
             fits_scale=self.fits_scale_after(kind, len(state.misfit)),
+            **({"planes_in_turn": True} if rule.planes_in_turn else {}),
         )
         point = step.change
-        relaxation = self.step_rule.relaxation if inner_iterations > 1 else 1.0
-        point *= point.real.dtype.type(STEP * relaxation)
+        point *= point.real.dtype.type(STEP * rule.relaxation)
         if kind == "amplitude":
             return step._replace(change=point.real + state.ahead.real)
         point += state.ahead

@@ -15,8 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wavesim.reconstruction.object_solver import INNER_ITERATIONS, USUAL_STEPS, StepRule
-from wavesim.reconstruction.stop_rule import TOLERANCE
+from wavesim.reconstruction.object_solver import USUAL_STEPS, StepRule
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import Measurement, full_weight_sigma
@@ -26,33 +25,31 @@ SINGLE_EXPOSURE_FACTOR = 1.4
 brightest ones, as with single exposures.
 """
 
-WHOLE_FIELD_STEPS = StepRule(relaxation=1.3, planes_in_turn=True, noise_tolerance=4e-2)
-"""Steps of an amplitude or phase object of a whole field, where an iteration takes minutes.
+WHOLE_FIELD_STEPS = StepRule(noise_tolerance=4e-2)
+"""Steps of an amplitude object of a whole field, where an iteration takes minutes.
+
+Where the misfit has come to the noise and changes less, later iterations hardly change the object. Phase and
+complex objects still improve clearly there.
+"""
+
+COARSE_STEPS = WHOLE_FIELD_STEPS._replace(relaxation=1.3, planes_in_turn=True)
+"""Steps of its first iterations on half of the samples.
 
 Two inner iterations whose planes are processed in turn gain as much as four with all planes at once. They
 fulfil the frames on the exit grid, but the object can follow only about half of the change there. A longer
-step makes up for a part of that.
+step makes up for a part of that. With such steps on all samples, objects on a dark ground would end in a
+local minimum.
 """
-
-WHOLE_COMPLEX_FIELD_STEPS = WHOLE_FIELD_STEPS._replace(relaxation=1.0, noise_tolerance=TOLERANCE)
-"""Steps of a complex object of a whole field. It follows the whole change, so that longer steps gain nothing,
-and it still improves clearly while its misfit changes little at the noise.
-"""
-
-WHOLE_FIELD_INNER_ITERATIONS = 2
-"""Inner iterations of a step of a whole field."""
 
 
 def step_rule(kind: Kind, engine: Engine) -> StepRule:
     """Return the rule of the steps for a kind of object and an engine."""
-    if not isinstance(engine, Tiled):
-        return USUAL_STEPS
-    return WHOLE_COMPLEX_FIELD_STEPS if kind == "complex" else WHOLE_FIELD_STEPS
+    return WHOLE_FIELD_STEPS if kind == "amplitude" and isinstance(engine, Tiled) else USUAL_STEPS
 
 
-def inner_iterations(engine: Engine) -> int:
-    """Return the number of inner iterations of a step far from the noise."""
-    return WHOLE_FIELD_INNER_ITERATIONS if isinstance(engine, Tiled) else INNER_ITERATIONS
+def coarse_step_rule(kind: Kind) -> StepRule:
+    """Return the rule of the steps on half of the samples for a kind of object."""
+    return COARSE_STEPS if kind == "amplitude" else USUAL_STEPS
 
 
 def ends_at_noise(kind: Kind, engine: Engine) -> bool:

@@ -195,9 +195,8 @@ def test_planes_in_turn_leave_the_amplitudes_of_the_last_plane(model_parts: tupl
     amplitude = 0.1 + np.random.default_rng(8).random(engine.scene.exit_grid.shape)
     model = ForwardModel(engine, lit, [Measurement(0.0, amplitude)], 1.0)
     once, misfit, _ = model.step(lit.values)
-    in_turn = ForwardModel(engine, lit, model.recorded, 1.0, planes_in_turn=True)
     for rounds in (2, 4):
-        again, same, _ = in_turn.step(lit.values, rounds, length)
+        again, same, _ = model.step(lit.values, rounds, length, planes_in_turn=True)
         assert np.allclose(length * again, once, atol=1e-12 * np.abs(once).max())
         assert same == misfit
 
@@ -205,11 +204,9 @@ def test_planes_in_turn_leave_the_amplitudes_of_the_last_plane(model_parts: tupl
 def test_planes_in_turn_and_planes_at_once_are_the_same_for_one_plane_of_pixels(model_parts: tuple) -> None:
     engine, lit = model_parts
     amplitude = 0.1 + np.random.default_rng(8).random(engine.scene.exit_grid.shape)
+    model = ForwardModel(engine, lit, [Measurement(0.6, amplitude)], 1.0, 1.0)
     at_once, in_turn = (
-        ForwardModel(
-            engine, lit, [Measurement(0.6, amplitude)], 1.0, 1.0, planes_in_turn=planes_in_turn
-        ).step(lit.values, 3)[0]
-        for planes_in_turn in (False, True)
+        model.step(lit.values, 3, planes_in_turn=planes_in_turn)[0] for planes_in_turn in (False, True)
     )
     assert np.allclose(in_turn, at_once, atol=1e-10 * np.abs(at_once).max())
 

@@ -106,10 +106,7 @@ def test_a_whole_field_begins_on_half_of_its_samples() -> None:
         truth=imaged.target.transmission,
         progress=lambda what, done, count: said.append(what),
     )
-    assert (
-        sum("half of the samples" in what and "super-tile" not in what for what in said)
-        == ITERATIONS["amplitude"]
-    )
+    assert sum("half of the samples" in what and "super-tile" not in what for what in said) == ITERATIONS
     assert found.truth["object_correlation"] is not None
     assert found.truth["object_correlation"] > 0.97
     assert len(found.curve) <= 5

@@ -14,7 +14,6 @@ from hypothesis import given, settings, strategies
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
-from wavesim.engines.eikonal.engine import HierarchicalTiles
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.forward.forward_model import ForwardModel
@@ -22,7 +21,7 @@ from wavesim.forward.pixel_means import PixelMeans
 from wavesim.reconstruction import object_solver
 from wavesim.reconstruction.object_solver import USUAL_STEPS, SolverState, reconstruct
 from wavesim.reconstruction.resumable import saved_state
-from wavesim.reconstruction.search_rules import step_rule
+from wavesim.reconstruction.search_rules import COARSE_STEPS
 from wavesim.reconstruction.stop_rule import AT_NOISE, STOPPED, TOLERANCE, expected_change
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
@@ -346,21 +345,20 @@ def test_planes_are_passed_once_more_for_the_scale_but_once(
     assert found.scale == pytest.approx(scale, rel=0.02)
 
 
-@pytest.mark.parametrize("kind", ["amplitude", "complex"])
-def test_steps_of_a_whole_field_gain_more(case: Case, kind: Kind) -> None:
+def test_first_steps_of_a_whole_field_gain_more(case: Case) -> None:
     """At the same number of inner iterations."""
     longer, usual = (
         reconstruct(
             case.engine,
             case.illumination,
             case.recorded,
-            kind=kind,
-            iterations=6,
+            kind="amplitude",
+            iterations=4,
             scale=1.0,
             inner_iterations=2,
             step_rule=rule,
         )
-        for rule in (step_rule(kind, HierarchicalTiles.__new__(HierarchicalTiles)), USUAL_STEPS)
+        for rule in (COARSE_STEPS, USUAL_STEPS)
     )
     assert longer.misfit[-1] < 0.9 * usual.misfit[-1]
 

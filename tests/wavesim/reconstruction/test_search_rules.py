@@ -10,17 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavesim.engines.eikonal.engine import HierarchicalTiles
-from wavesim.reconstruction.object_solver import INNER_ITERATIONS, STEP, USUAL_STEPS
+from wavesim.reconstruction.object_solver import STEP, USUAL_STEPS
 from wavesim.reconstruction.search_rules import (
+    COARSE_STEPS,
     SINGLE_EXPOSURE_FACTOR,
-    WHOLE_COMPLEX_FIELD_STEPS,
     WHOLE_FIELD_STEPS,
+    coarse_step_rule,
     ends_at_noise,
-    inner_iterations,
     step_rule,
     tv_factor,
 )
-from wavesim.reconstruction.stop_rule import TOLERANCE
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import Measurement, recorded_intensity
@@ -65,16 +64,18 @@ def test_only_complex_objects_end_at_the_noise(kind: Kind) -> None:
         assert tv_factor(kind, SMALL, [plane((1.0,))]) == 1.0
 
 
-def test_only_a_whole_field_has_longer_steps() -> None:
+def test_only_amplitude_objects_of_a_whole_field_end_earlier_at_the_noise() -> None:
     assert step_rule("amplitude", SMALL) == USUAL_STEPS
-    assert inner_iterations(SMALL) == INNER_ITERATIONS > inner_iterations(WHOLE)
-    assert step_rule("amplitude", WHOLE) == step_rule("phase", WHOLE) == WHOLE_FIELD_STEPS
-    assert step_rule("complex", WHOLE) == WHOLE_COMPLEX_FIELD_STEPS
-    assert WHOLE_COMPLEX_FIELD_STEPS.noise_tolerance == TOLERANCE < WHOLE_FIELD_STEPS.noise_tolerance
+    assert step_rule("amplitude", WHOLE) == WHOLE_FIELD_STEPS
+    assert step_rule("phase", WHOLE) == step_rule("complex", WHOLE) == USUAL_STEPS
+    assert USUAL_STEPS._replace(noise_tolerance=WHOLE_FIELD_STEPS.noise_tolerance) == WHOLE_FIELD_STEPS
+    assert WHOLE_FIELD_STEPS.noise_tolerance > USUAL_STEPS.noise_tolerance
+    assert coarse_step_rule("amplitude") == COARSE_STEPS
+    assert coarse_step_rule("phase") == coarse_step_rule("complex") == USUAL_STEPS
 
 
 def test_longer_steps_are_stable() -> None:
     """Planes in turn leave nothing of a part that all planes see. Accelerated steps are stable up to 4/3."""
-    assert WHOLE_FIELD_STEPS.planes_in_turn
+    assert COARSE_STEPS.planes_in_turn
     assert STEP <= 4.0 / 3.0
-    assert WHOLE_FIELD_STEPS.relaxation <= 4.0 / 3.0
+    assert COARSE_STEPS.relaxation <= 4.0 / 3.0
