@@ -102,7 +102,7 @@ class AimingMap:
         if cosines is None:
             cosines = self.cosines
         index = float(system.index[0, -1])
-        # Most traces that aiming may take; two suffice for perturbations that a mount allows.
+        # Most traces that aiming may take after the guides; one or two suffice for usual perturbations.
         aim_steps = 8
         for step in range(aim_steps):
             # Only aimed rays show what the perturbed stop transmits.
@@ -125,26 +125,37 @@ class AimingMap:
     ) -> Array | None:
         """Return cosines of all rays from the corrections of a few, which vary smoothly over the bundle.
 
-        None if the bundle has few rays, or if one of the guides does not arrive.
+        None if the bundle has few rays, if one of the guides does not arrive, or if polynomials do not
+        describe their corrections, as with a fine figure of a surface. Rays near the rim of the stop would
+        then be aimed too badly to tell whether they pass it.
         """
         if self._guides is None:
             return None
         some = self._guides.rays
         nominal, inverse = self.cosines[:, some], self.inverse_per_mm[..., some]
         targets, own_depths = targets_mm[:, some], None if depths is None else depths[some]
-        own_point = point if point.ndim == 1 else point[some]
-        rays, arrived = shoot(system, own_point, nominal, plane_z_mm, clip=False)
+        rays, arrived = shoot(system, point, nominal, plane_z_mm, clip=False)
         arrived &= rays.ok
         if not np.all(arrived):
             return None
         correction = _times(inverse, _miss(rays, arrived, targets, own_depths)[0])
-        return np.asarray(self.cosines + (correction @ self._guides.fit) @ self._guides.terms)
+        guided = self._guides.interpolated(correction)
+        # Error of a correction over the largest one, about that of one step of aiming.
+        largest_error = 0.02
+        if np.max(np.abs(guided[:, some] - correction)) > largest_error * np.max(np.abs(correction)):
+            return None
+        return np.asarray(self.cosines + guided)
 
     @cached_property
     def _guides(self) -> _Guides | None:
-        # Bundles with fewer rays are traced at once.
+        # Bundles with fewer rays, or with several object points, are traced at once.
         fewest_rays = 1000
-        return _guides_of(self.cosines) if self.cosines.shape[1] >= fewest_rays else None
+        is_guided = self.cosines.shape[1] >= fewest_rays and self.object_point_mm.ndim == 1
+        return _guides_of(self.cosines) if is_guided else None
+
+
+DEGREE = 4
+"""Degree of the polynomials that interpolate between guides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,25 +168,38 @@ class _Guides:
         Indices of the guides.
     fit : ndarray, shape (m, terms)
         Values at the guides times this matrix are the coefficients of the polynomial.
-    terms : ndarray, shape (terms, n)
-        Terms of the polynomial at all rays.
+    x, y : ndarray, shape (n,)
+        Direction cosines of all rays about their middle, scaled to 1.
     """
 
     rays: NDArray[np.intp]
     fit: Array
-    terms: Array
+    x: Array
+    y: Array
+
+    def interpolated(self, values: Array) -> Array:
+        """Return values at the guides, shape (2, m), interpolated to all rays."""
+        coefficients = np.zeros((DEGREE + 1, DEGREE + 1, len(values)))
+        for column, power in zip((values @ self.fit).T, _powers(), strict=True):
+            coefficients[power] = column
+        return np.asarray(np.polynomial.polynomial.polyval2d(self.x, self.y, coefficients))
+
+
+def _powers() -> list[tuple[int, int]]:
+    """Return the powers of x and y of all terms."""
+    return [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
 
 
 def _guides_of(cosines: Array) -> _Guides:
     """Return guides all over a bundle, and at its rim, where polynomials would extrapolate."""
-    inside, around, degree = 96, 24, 4
+    inside, around = 96, 24
     azimuth = 2.0 * np.pi * np.arange(around) / around
     centred = cosines - 0.5 * (cosines.min(axis=1) + cosines.max(axis=1))[:, None]
     rim = np.argmax(np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) @ centred, axis=1)
     rays = np.unique(np.append(np.linspace(0, cosines.shape[1] - 1, inside).astype(int), rim))
     x, y = centred / np.max(np.abs(centred))
-    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
-    return _Guides(rays, np.linalg.pinv(terms[:, rays]), terms)
+    terms = np.stack([x[rays] ** i * y[rays] ** j for i, j in _powers()])
+    return _Guides(rays, np.linalg.pinv(terms), x, y)
 
 
 def _miss(
