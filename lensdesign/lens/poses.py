@@ -69,7 +69,8 @@ class Pose:
         shift : ndarray, shape (trials or 1, 3)
             ``fixed = rotation @ own + shift``.
         """
-        values = np.empty((len(fields(self)), trial_count(self) or 1))
+        count = trial_count(self)
+        values = np.empty((len(fields(self)), 1 if count is None else count))
         for k, f in enumerate(fields(self)):
             values[k] = getattr(self, f.name)
         rotation, pivot = rotation_matrix(*np.deg2rad(values[3:5])), values[5]

@@ -44,7 +44,7 @@ class Budget:
     uniform_scale, uniform_cost
         Largest common scale of all tolerances that meets the yield, and its cost; None if there is none.
     evaluations
-        Number of evaluations of all lenses.
+        Number of evaluations of all lenses, or of fewer in the first step.
     """
 
     scales: Array
@@ -117,7 +117,9 @@ def allocate_tolerances(
     if not np.all(np.isfinite(highest) & (highest >= lowest)):
         raise InputError(f"high = {highest.tolist()}: must be finite and not below low")
     check_required(required)
-    search = _Search(model, coarse or model, tuple(merits), required, lowest, highest, weight)
+    search = _Search(
+        model, model if coarse is None else coarse, tuple(merits), required, lowest, highest, weight
+    )
     smallest = search.count(lowest)
     if smallest < required:
         raise InputError(
@@ -226,7 +228,7 @@ class _Search:
         """Return the scales of least cost by a model whose smoothed yield is corrected for the smoothing."""
         found, widths, target = start, self.widths(model, start, smoothing), self.required
         # Largest error of the yield that the common factor then corrects, at almost no cost.
-        small_error = 1e-3
+        small_error = 0.01 * (1.0 - self.required)
         for _ in range(3):
             found = self.search(model, found, widths, min(target, 1.0 - 1e-4))
             error = self.good(model, found) - self.required
@@ -273,7 +275,10 @@ class _Search:
         return scales_at(outcome.point)
 
     def largest_factor(self, scales: Array) -> Array:
-        """Return the scales times the largest common factor that meets the yield, each within its range."""
+        """Return the scales times the largest common factor that meets the yield, each within its range.
+
+        The yield is assumed to fall with the factor.
+        """
 
         def times(logarithm: float) -> Array:
             return np.clip(np.exp(logarithm) * scales, self.low, self.high)
@@ -285,14 +290,14 @@ class _Search:
             smallest = 0.0
             while step < largest and self.count(times(step)) >= self.required:
                 smallest, step = step, 4.0 * step
+            if step >= largest and self.count(times(largest)) >= self.required:
+                return times(largest)
             largest = min(largest, step)
         else:
             largest = 0.0
             while -step > smallest and self.count(times(-step)) < self.required:
                 largest, step = -step, 4.0 * step
             smallest = max(smallest, -step)
-        if self.count(times(largest)) >= self.required:
-            return times(largest)
         # Precision of the logarithm, which is that of the cost.
         precision = 1e-5
         while largest - smallest > precision:
