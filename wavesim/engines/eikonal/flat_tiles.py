@@ -199,6 +199,9 @@ class TileOperator:
         twiddle = (factor * np.exp(1j * wavenumber_per_mm * next(iter(fine)))).astype(self._dtype)
         if self._interpolation is not None:
             result._carrier = self._carrier * twiddle
+            if self._crossed is not None:
+                weights, crossed_carrier = self._crossed
+                result._crossed = weights, crossed_carrier * twiddle
         else:
             result._weights = self._weights * twiddle
         result._set_points(self._on_points(carrier.maps)[2:] + change[1:])

@@ -397,9 +397,12 @@ def _amplitudes_of(mode: SourceMode, model: ForwardModel, values: NDArray[Any]) 
 
 
 def _at_similar_wavelength(engine: Engine, wavelength_um: float) -> Engine:
-    """Return the engine for a slightly different wavelength, of the same tiles if it has tiles."""
-    if wavelength_um == engine.scene.wavelength_um:
+    """Return the engine for a different wavelength, of the same tiles if it has tiles and differs little."""
+    change = abs(wavelength_um / engine.scene.wavelength_um - 1.0)
+    if change == 0.0:
         return engine
-    if type(engine) is FlatTiles and engine.plane.beyond is None:
+    # Relative change for which tiles of the same amplitudes are accurate to a few percent of the effect.
+    largest_change = 5e-3
+    if change <= largest_change and type(engine) is FlatTiles and engine.plane.beyond is None:
         return PerturbedTiles(engine, replace(engine.scene, wavelength_um=wavelength_um))
     return engine.at_wavelength(wavelength_um)
