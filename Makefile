@@ -100,7 +100,7 @@ slow-tests: $(READY)
 	RECORD_SLOW_TESTS=more $(PYTEST) -m "not slow"
 	RECORD_SLOW_TESTS=more $(PYTEST) -m "not slow"
 
-# Every command of the documentation; `make tests` leaves out those that take about a minute or more.
+# Every command of the documentation; `make tests` leaves out those that take about half a minute or more.
 commands: $(READY)
 	DOCUMENTED_COMMANDS=all $(BIN)/python -m pytest tests/test_documented_commands.py
 

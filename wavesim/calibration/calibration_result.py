@@ -234,6 +234,7 @@ class Calibrated:
     def table(self) -> dict[str, Any]:
         """Return all results as plain values for JSON; :func:`read_calibration` reads them."""
         deviations = self.deviations or (None,) * len(self.parameters)
+        is_unknown = self.deviations is None and self.typical is not None  # they were not requested
         stop_parameters = ("field_stop_x_mm", "field_stop_y_mm", "field_stop_mm")
         return {
             STATE: state_table(self.state),
@@ -243,8 +244,10 @@ class Calibrated:
             "expected": dict(zip(self.parameters, self.typical or deviations, strict=True)),
             "kept_at_nominal": list(self.nominal),
             "undetermined": [*self.undetermined, *stop_parameters * bool(self.stop_warning)],
-            "not_told": list(self.poorly_determined),
-            "not_told_from": {name: list(others) for name, others in self.correlated_with.items()},
+            "not_told": None if is_unknown else list(self.poorly_determined),
+            "not_told_from": None
+            if is_unknown
+            else {name: list(others) for name, others in self.correlated_with.items()},
             "parameters": list(self.parameters),
             "sought": sorted(self.bench.sought),
             "misfit_before": self.misfit_before,

@@ -168,10 +168,13 @@ def calibrate_frames(
         )
     progress = progress or (lambda what, done, count: None)
     if known is not None:
+        if not requested.deviations:
+            raise SettingError("{deviations}: are not computed with {known}, so that they cannot be omitted")
         if empty is not None or priors is not None:
             other = "empty" if priors is None else "priors"
             raise SettingError(f"{{known}}, {{{other}}}: give only one of them")
-        return _calibrated_with_known_object(lens, frames, requested, known, progress)
+        found = _calibrated_with_known_object(lens, frames, requested, known, progress)
+        return replace(found, verdict=None) if requested.verdict == "none" else found
     if sought_widths(requested):
         found, settings = _calibrated_with_source(lens, frames, requested, empty, priors, folder, progress)
     else:

@@ -121,7 +121,8 @@ def calibrate(
     messages = warning_messages(caught)
     print_warnings(messages)
     summary = write_calibration(found, frames, pictures, extra | {"warnings": messages}, output)
-    if is_complete:
+    # A search whose verdict or deviations were left out can be continued to them.
+    if is_complete and not is_without_verdict and settings.deviations:
         for name in SEARCH_CHECKPOINTS:
             with suppress(OSError):  # A left-over checkpoint does no harm.
                 (output / name).unlink(missing_ok=True)
@@ -132,7 +133,9 @@ def calibrate(
         if not is_complete:
             print(f"verdict: not judged: interrupted after the search; {ADVICE['not judged']}")
         elif is_without_verdict:
-            print("verdict: not judged: --verdict none; `wavesim reconstruct --calibration` judges the bench")
+            print("verdict: not judged: --verdict none; the same command without it judges the bench")
+            if found.stop_warning:
+                print(found.stop_warning)
     is_trusted = is_complete and not is_without_verdict and found.explained is not False
     raise typer.Exit(0 if is_trusted else 1)
 

@@ -270,7 +270,9 @@ class GoodnessOfFit:
         if self.noise_correlation is None or not self.explained:
             return None
         if of_bench is None:
-            of_bench = min((one.correlation for one in self.undetected), default=1.0)
+            if not self.undetected:  # other benches were not tested
+                return None
+            of_bench = min(one.correlation for one in self.undetected)
         return self.noise_correlation * of_bench
 
     @property

@@ -171,10 +171,9 @@ def judge_result(
     # If the misfit is only slightly too large and still falls, more iterations are sufficient.
     early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < near_limit * LIMIT)
     if early:
-        return judged()
+        return judged(untested=without_tests)
     if settings.verdict == "quick":
-        has_little_diversity = len(given) > 1 and case.diversity < LEAST_DIVERSITY
-        starts = ("other starts",) if has_little_diversity and settings.starts == 1 else ()
+        starts = ("other starts",) if settings.starts == 1 and _may_depend_on_start(case) else ()
         return judged(untested=(*without_tests, *starts))
     with engine_on(case.light.grid) as engine:
         trials, undetected = list[Trial](), tuple[Undetected, ...]()
@@ -187,7 +186,7 @@ def judge_result(
             progress("score test of the bench")
             test = _score_test(case, settings, engine, found, progress)
             if test is None:
-                untested.append(f"{OTHER_BENCHES}, since the engine does not allow small displacements")
+                untested.append(OTHER_BENCHES)
             else:
                 undetected = test.undetected
                 if test.is_preferred:
@@ -209,6 +208,8 @@ def judge_result(
                 stop=FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
                 misfit_of_result=curve[-1],
             ).trials()
+    if first.within and noise_correlation is None:
+        untested.append(TRUE_CORRELATION)
     return judged(trials, undetected, noise_correlation, untested)
 
 
@@ -440,9 +441,14 @@ def starts_needed(
     """
     if settings.starts > 1 or isinstance(case.engine, Tiled) or settings.verdict != "full":
         return settings
-    if case.diversity >= LEAST_DIVERSITY or found.stopped_because == "iterations":
+    if not _may_depend_on_start(case) or found.stopped_because == "iterations":
         return settings
     return settings.replaced(starts=2)
+
+
+def _may_depend_on_start(case: ReconstructionProblem) -> bool:
+    """Return whether planes have so little diversity that another start may end at another object."""
+    return case.diversity < LEAST_DIVERSITY
 
 
 def agreement_of_starts(

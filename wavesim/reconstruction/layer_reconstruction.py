@@ -68,6 +68,7 @@ UNUSED_SETTINGS = (
     "region_mm",
     "field_stop",
     "cluster",
+    "verdict",
 )
 """Settings that layers cannot use."""
 

@@ -26,14 +26,14 @@ brightest ones, as with single exposures.
 """
 
 WHOLE_FIELD_STEPS = StepRule(noise_tolerance=4e-2)
-"""Steps of an amplitude object of a whole field, where an iteration takes minutes.
+"""Usual steps, and an earlier end, of an amplitude object of a whole field, where an iteration takes minutes.
 
 Where the misfit has come to the noise and changes less, later iterations hardly change the object. Phase and
 complex objects still improve clearly there.
 """
 
 COARSE_STEPS = WHOLE_FIELD_STEPS._replace(relaxation=1.3, planes_in_turn=True)
-"""Steps of its first iterations on half of the samples.
+"""Steps of the first iterations of such an object, on half of the samples.
 
 Two inner iterations whose planes are processed in turn gain as much as four with all planes at once. They
 fulfil the frames on the exit grid, but the object can follow only about half of the change there. A longer

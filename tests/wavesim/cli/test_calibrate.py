@@ -80,7 +80,7 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     assert "--calibration" in err
 
 
-@pytest.mark.usefixtures("quick_verdicts")
+@pytest.mark.usefixtures("quick_verdicts", "whole_search")
 def test_its_figures_are_those_of_a_reconstruction_with_it(
     wavesim: Command, data: Path, tmp_path: Path
 ) -> None:
@@ -101,7 +101,7 @@ def test_its_figures_are_those_of_a_reconstruction_with_it(
     used = reconstructed()
     assert used["found_by"] == "calibration"
     assert used["verdict"] == calibrated["verdict"]
-    for options in (("--iterations", 2), ("--starts", 2)):
+    for options in (("--iterations", 2), ("--starts", 2), ("--verdict", "quick")):
         assert "found_by" not in reconstructed(*options)
     judged.write_bytes(judged.read_bytes()[:2000])  # a damaged file does no harm
     anew = reconstructed()
@@ -199,10 +199,46 @@ def test_a_bench_without_verdict_and_deviations_is_the_same(
         json.loads((tmp_path / name / "calibration.json").read_text()) for name in ("with", "without")
     )
     assert (less["verdict"], less["explained"], less["sought"]) == (None, None, [])
+    assert less["applied"] == less["values"]
+    assert (less["not_told"], less["not_told_from"]) == (None, None)
     for name, deviation in whole["deviations"].items():
         assert less["deviations"][name] is None
         assert less["values"][name] == pytest.approx(whole["values"][name], abs=deviation)
     assert (tmp_path / "without" / "calibration.png").stat().st_size > 0
+
+
+def test_a_search_without_verdict_goes_on_to_one(
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+) -> None:
+    """The same command without the option tries no bench again, and then removes the checkpoint."""
+    command = (*frames_and_design(data), "--parameters", "decenter_x_mm", "--iterations", 2, "--scale", 1)
+    command = (*command, "--max-mountings", 2, "-o", tmp_path)
+    code, _, err = wavesim("calibrate", *command, "--verdict", "none", "--no-deviations")
+    assert code == 1, err
+    assert (tmp_path / "checkpoint.npz").exists()
+    searched, began = JointSearch.run, list[int]()
+
+    def watched(search: JointSearch, state: SearchState) -> FitResult:
+        began.append(len(state.trail))
+        return searched(search, state)
+
+    monkeypatch.setattr(JointSearch, "run", watched)
+    code, _, err = wavesim("calibrate", *command)
+    assert code in (0, 1), err
+    assert began[0] == 2
+    found = json.loads((tmp_path / "calibration.json").read_text())
+    assert found["verdict"]["judged"] is True
+    assert found["deviations"]["decenter_x_mm"] > 0.0
+    assert not (tmp_path / "checkpoint.npz").exists()
+
+
+def test_a_known_object_needs_no_option_for_less(wavesim: Command, data: Path, tmp_path: Path) -> None:
+    known = (*frames_and_design(data), "--parameters", "decenter_x_mm", "--truth", data, "-o", tmp_path)
+    code, out, err = wavesim("calibrate", *known, "--verdict", "none")
+    assert (code, "not judged: --verdict none" in out) == (1, True), err
+    code, out, err = wavesim("calibrate", *known, "--no-deviations")
+    assert (code, out) == (2, "")
+    assert "--deviations: are not computed with --truth" in " ".join(err.split())
 
 
 def test_deviations_are_needed_for_frames_without_an_object(

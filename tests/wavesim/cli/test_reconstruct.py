@@ -141,6 +141,7 @@ def test_an_interrupt_during_the_verdict_keeps_the_object(
     np.testing.assert_array_equal(np.load(out / "reconstruction.npz")["values"], first)
 
 
+@pytest.mark.usefixtures("whole_search")
 @pytest.mark.parametrize(
     ("level", "status", "words"),
     [

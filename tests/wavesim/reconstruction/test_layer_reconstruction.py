@@ -95,7 +95,12 @@ def test_undetermined_layers_are_not_trusted() -> None:
 
 def test_settings_that_layers_cannot_use_are_refused() -> None:
     lens, _ = bench(CASE.stop_mm)
-    for name, value in (("method", "paper"), ("starts", 2), ("region_mm", (0.0, 0.0, 0.01, 0.01))):
+    for name, value in (
+        ("method", "paper"),
+        ("starts", 2),
+        ("verdict", "none"),
+        ("region_mm", (0.0, 0.0, 0.01, 0.01)),
+    ):
         with pytest.raises(SettingError, match=name):
             reconstruct_layers(lens, frames_of_one_plane(), CASE.layers_um, settings(**{name: value}))
     with pytest.raises(InputError, match="ascending"):

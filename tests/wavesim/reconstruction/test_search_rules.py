@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavesim.engines.eikonal.engine import HierarchicalTiles
-from wavesim.reconstruction.object_solver import STEP, USUAL_STEPS
+from wavesim.reconstruction.object_solver import USUAL_STEPS
 from wavesim.reconstruction.search_rules import (
     COARSE_STEPS,
     SINGLE_EXPOSURE_FACTOR,
@@ -72,10 +72,3 @@ def test_only_amplitude_objects_of_a_whole_field_end_earlier_at_the_noise() -> N
     assert WHOLE_FIELD_STEPS.noise_tolerance > USUAL_STEPS.noise_tolerance
     assert coarse_step_rule("amplitude") == COARSE_STEPS
     assert coarse_step_rule("phase") == coarse_step_rule("complex") == USUAL_STEPS
-
-
-def test_longer_steps_are_stable() -> None:
-    """Planes in turn leave nothing of a part that all planes see. Accelerated steps are stable up to 4/3."""
-    assert COARSE_STEPS.planes_in_turn
-    assert STEP <= 4.0 / 3.0
-    assert COARSE_STEPS.relaxation <= 4.0 / 3.0

@@ -199,6 +199,7 @@ class GaussNewtonStep:
         result.columns, result.hessian = self.columns[chosen], self.hessian[np.ix_(chosen, chosen)]
         result.prior_precision, result.damping = self.prior_precision[chosen], self.damping[chosen]
         result.descent, result.following = self.descent[chosen], self.following[chosen]
+        result._values = self._values[chosen]
         return result
 
     def after(self, step: Array) -> GaussNewtonStep:
@@ -208,6 +209,7 @@ class GaussNewtonStep:
         followed = self._object_part(self.linear.adjoint_to_object(change)) * self.free_samples
         result.object_descent = self.object_descent - followed
         result.descent = self.descent - self.hessian @ step
+        result._residual, result._values = self._residual - change.ravel(), self._values + step
         return result
 
     def solve(self, iterations: int) -> Array:

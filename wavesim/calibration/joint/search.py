@@ -57,6 +57,7 @@ from wavesim.metrics.displacement import displacement_changes
 from wavesim.metrics.goodness_of_fit import LIMIT
 from wavesim.reconstruction.amplitude_limit import with_own_limit
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
+from wavesim.reconstruction.stop_rule import expected_change
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 
@@ -326,7 +327,8 @@ class JointSearch:
             self._without_wrong_limit(self._converged_fit(current.unknowns, verified)), ray_derivatives
         )
         if not self.has_deviations:
-            estimates, needed = self._estimates(best, equations), np.ones(len(self.parameters), bool)
+            estimates = best.unknowns.of([p.name for p in self.parameters])
+            needed = np.ones(len(estimates), bool)
             return FitResult(best.unknowns, estimates, needed, None, best.misfit, state.trail, reason)
         eliminated = equations.eliminated(
             ELIMINATION_ITERATIONS if self.known is None else 0,
@@ -485,15 +487,18 @@ class JointSearch:
     def _fit_within(self, square: float, unknowns: Unknowns, start: _BenchFit) -> _BenchFit | None:
         """Return the converged fit if its squared misfit is within a limit, else None.
 
-        Benches that are far from it after some iterations are given up.
+        Where the noise is known, a bench is given up that is far from the limit after some iterations, and
+        whose further ones are not expected to come near it.
         """
         # Those iterations, and the squared misfit over the limit from which a bench is given up.
         first_iterations, hopeless = 10, 4.0
         try:
             fit = self._fit_bench(unknowns, start=start, iterations=first_iterations)
-            if fit.misfit**2 > hopeless * square:
-                return None
-            fit = fit if self.known is not None else self._continued_fit(fit)
+            if self.known is None:
+                expected = fit.misfit * (1.0 - min(expected_change(fit.curve), 1.0))
+                if self.noise_misfit is not None and expected**2 > hopeless * square:
+                    return None
+                fit = self._continued_fit(fit)
         except TransferLensError:
             return None
         return fit if fit.misfit**2 <= square else None

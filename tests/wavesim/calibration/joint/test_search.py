@@ -103,12 +103,12 @@ def test_what_explains_errors_of_the_model_by_chance_is_not_needed(
     estimates = np.array([3.0, 2.5, *np.linspace(0.1, 1.0, count - 2)])
     rises = np.array([1.0, 1.0, *np.full(count - 2, 0.9 / 60.0)])
 
-    def fit(_: JointSearch, unknowns: Unknowns, start: Any) -> Any:
+    def fit(_: JointSearch, square: float, unknowns: Unknowns, start: Any) -> Any:
         is_nominal = unknowns.of([p.name for p in search.parameters]) == 0.0
         misfit = lowest * np.sqrt(1.0 + np.sum(rises[is_nominal]))
-        return SimpleNamespace(misfit=misfit, unknowns=unknowns, transmission=start)
+        return SimpleNamespace(misfit=misfit, unknowns=unknowns) if misfit**2 <= square else None
 
-    monkeypatch.setattr(JointSearch, "_converged_fit_or_none", fit)
+    monkeypatch.setattr(JointSearch, "_fit_within", fit)
     monkeypatch.setattr("wavesim.calibration.joint.search.EQUAL_RATIO", 1.0)
     best = SimpleNamespace(misfit=lowest, unknowns=Unknowns(lens), transmission=None)
     _, needed = replace(search, noise_misfit=noise_misfit)._with_fewer(best, estimates, np.eye(count))
