@@ -28,7 +28,7 @@ from wavesim.reconstruction.position import at_best_position
 from wavesim.reconstruction.prior_bias import with_less_bias
 from wavesim.reconstruction.problem import ReconstructionProblem
 from wavesim.reconstruction.resumable import state_saver
-from wavesim.reconstruction.search_rules import ends_at_noise, step_rule, tv_factor
+from wavesim.reconstruction.search_rules import ends_at_noise, tv_factor
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings
@@ -107,7 +107,6 @@ class ObjectSearch:
             bounded=bounded,
             tv_factor=factor * tv_factor(settings.kind, self.engine, planes),
             iterations_without_tv=iterations_without_tv,
-            step_rule=step_rule(settings.kind, self.engine),
         )
 
     def improved(

@@ -39,7 +39,7 @@ from wavesim.forward.colour_model import ColourModel
 from wavesim.forward.exit_field import ROWS
 from wavesim.forward.forward_model import ForwardModel, Step
 from wavesim.reconstruction.phase_retrieval import validate_planes
-from wavesim.reconstruction.stop_rule import FAR, STOPPED, TOLERANCE, Stop, stop_reason
+from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop, stop_reason
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Grids, Operator
@@ -145,7 +145,7 @@ class SolverState:
 
 
 class StepRule(NamedTuple):
-    """Steps far from the noise, and the end of the iterations at the noise.
+    """Steps far from the noise.
 
     Attributes
     ----------
@@ -153,17 +153,14 @@ class StepRule(NamedTuple):
         Factor of a step with inner iterations.
     planes_in_turn : bool
         Whether inner iterations process the planes in turn (:meth:`ForwardModel.step`).
-    noise_tolerance : float
-        Relative change of the misfit below which iterations end at the noise.
     """
 
     relaxation: float = 1.0
     planes_in_turn: bool = False
-    noise_tolerance: float = TOLERANCE
 
 
 USUAL_STEPS = StepRule()
-"""Steps of all searches but those of a whole field."""
+"""Steps of all iterations but the first ones of a whole field."""
 
 
 class Stage(NamedTuple):
@@ -266,7 +263,7 @@ def reconstruct(
         it, they move to where the measured amplitudes have them. Those that are not used are added to
         `iterations`.
     step_rule
-        Steps far from the noise, and the end at the noise.
+        Steps far from the noise.
 
     Returns
     -------
@@ -485,12 +482,7 @@ class ProximalDescent:
     def stop(self, state: SolverState) -> Stop | None:
         """Return the reason to stop, or None if iterations continue."""
         misfits = state.misfit[state.began :]
-        return stop_reason(
-            misfits,
-            self.misfit_of_noise,
-            until_noise=self.until_noise,
-            noise_tolerance=self.step_rule.noise_tolerance,
-        )
+        return stop_reason(misfits, self.misfit_of_noise, until_noise=self.until_noise)
 
 
 def _project_on_unit_circle(values: Array) -> None:

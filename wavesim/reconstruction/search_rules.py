@@ -25,26 +25,14 @@ SINGLE_EXPOSURE_FACTOR = 1.4
 brightest ones, as with single exposures.
 """
 
-WHOLE_FIELD_STEPS = StepRule(noise_tolerance=4e-2)
-"""Usual steps, and an earlier end, of an amplitude object of a whole field, where an iteration takes minutes.
-
-Where the misfit has come to the noise and changes less, later iterations hardly change the object. Phase and
-complex objects still improve clearly there.
-"""
-
-COARSE_STEPS = WHOLE_FIELD_STEPS._replace(relaxation=1.3, planes_in_turn=True)
-"""Steps of the first iterations of such an object, on half of the samples.
+COARSE_STEPS = StepRule(relaxation=1.3, planes_in_turn=True)
+"""Steps of the first iterations of an amplitude object of a whole field, on half of the samples.
 
 Two inner iterations whose planes are processed in turn gain as much as four with all planes at once. They
 fulfil the frames on the exit grid, but the object can follow only about half of the change there. A longer
 step makes up for a part of that. With such steps on all samples, objects on a dark ground would end in a
 local minimum.
 """
-
-
-def step_rule(kind: Kind, engine: Engine) -> StepRule:
-    """Return the rule of the steps for a kind of object and an engine."""
-    return WHOLE_FIELD_STEPS if kind == "amplitude" and isinstance(engine, Tiled) else USUAL_STEPS
 
 
 def coarse_step_rule(kind: Kind) -> StepRule:

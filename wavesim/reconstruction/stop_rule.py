@@ -40,13 +40,7 @@ changes by 2 % in each.
 """
 
 
-def stop_reason(
-    misfits: Sequence[float],
-    noise: float | None,
-    *,
-    until_noise: bool,
-    noise_tolerance: float = TOLERANCE,
-) -> Stop | None:
+def stop_reason(misfits: Sequence[float], noise: float | None, *, until_noise: bool) -> Stop | None:
     """Return the reason to stop, or None if iterations continue.
 
     Parameters
@@ -57,16 +51,12 @@ def stop_reason(
         Misfit that noise alone would leave; None if it is not known.
     until_noise
         Whether iterations end at the noise.
-    noise_tolerance
-        Relative change of the misfit below which they end there.
     """
     if not misfits:
         return None
     over = misfits[-1] / noise if noise else math.inf
     is_at_noise = until_noise and over <= AT_NOISE
-    if is_at_noise and (
-        _is_converged(misfits, SPAN_AT_NOISE, noise_tolerance) or expected_change(misfits) < noise_tolerance
-    ):
+    if is_at_noise and (_is_converged(misfits, SPAN_AT_NOISE) or expected_change(misfits) < TOLERANCE):
         return "noise"
     span = SPAN_NEAR_NOISE if until_noise and over <= FAR else SPAN
     if over > FAR and _has_risen(misfits):
@@ -74,7 +64,7 @@ def stop_reason(
     return "converged" if len(misfits) > SPAN and _is_converged(misfits, span) else None
 
 
-def _is_converged(misfits: Sequence[float], iterations: int, tolerance: float = TOLERANCE) -> bool:
+def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
     """Return whether the misfit hardly changed over the last iterations.
 
     Where it has risen, as it does once the total variation begins, its range counts. Around a maximum, first
@@ -82,7 +72,7 @@ def _is_converged(misfits: Sequence[float], iterations: int, tolerance: float = 
     """
     last = misfits[-1 - iterations :]
     change = max(last) - min(last) if _has_risen(misfits) else abs(last[0] - last[-1])
-    return len(last) > iterations and change < tolerance * last[-1]
+    return len(last) > iterations and change < TOLERANCE * last[-1]
 
 
 def _has_risen(misfits: Sequence[float]) -> bool:

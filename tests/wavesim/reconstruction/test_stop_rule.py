@@ -33,11 +33,3 @@ def test_a_plateau_after_a_rise_is_no_convergence() -> None:
     assert stop_reason(misfits, 1.0, until_noise=False) is None
     near_noise = 1.4
     assert stop_reason(misfits, near_noise, until_noise=False) == "converged"
-
-
-def test_at_the_noise_a_larger_tolerance_ends_earlier() -> None:
-    misfits = (1.2, 1.0, 0.97)
-    assert stop_reason(misfits, 1.0, until_noise=True) is None
-    assert stop_reason(misfits, 1.0, until_noise=True, noise_tolerance=0.04) == "noise"
-    assert stop_reason(misfits, 0.9, until_noise=True, noise_tolerance=0.04) is None
-    assert stop_reason(misfits, 1.0, until_noise=False, noise_tolerance=0.04) is None
