@@ -134,14 +134,14 @@ MUTATIONS = (
     Mutation(
         "tilt about y left-handed",
         "lensdesign/lens/poses.py",
-        "rows = [[cy, zero, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]",
-        "rows = [[cy, zero, -sy], [-sx * sy, cx, -sx * cy], [cx * sy, sx, cx * cy]]",
+        "entries = cy, 0.0, sy, sx * sy, cx, -sx * cy, -cx * sy, sx, cx * cy",
+        "entries = cy, 0.0, -sy, -sx * sy, cx, -sx * cy, cx * sy, sx, cx * cy",
     ),
     Mutation(
         "tilts in the other order",
         "lensdesign/lens/poses.py",
-        "rows = [[cy, zero, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]",
-        "rows = [[cy, sy * sx, sy * cx], [zero, cx, -sx], [-sy, cy * sx, cy * cx]]",
+        "entries = cy, 0.0, sy, sx * sy, cx, -sx * cy, -cx * sy, sx, cx * cy",
+        "entries = cy, sy * sx, sy * cx, 0.0, cx, -sx, -sy, cy * sx, cy * cx",
     ),
     Mutation(
         "Zernike polynomials of norm sqrt(n + 1)",

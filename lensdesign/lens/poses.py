@@ -162,11 +162,11 @@ def rotation_matrix(tilt_x: NDArray[np.float64], tilt_y: NDArray[np.float64]) ->
     [[1.0, 0.0, 0.0], [0.0, 1.0, -0.0], [-0.0, 0.0, 1.0]]
     """
     cx, sx, cy, sy = np.cos(tilt_x), np.sin(tilt_x), np.cos(tilt_y), np.sin(tilt_y)
-    found = np.empty((*np.shape(cx), 3, 3), np.result_type(cx, cy))
-    found[..., 0, 0], found[..., 0, 1], found[..., 0, 2] = cy, 0.0, sy
-    found[..., 1, 0], found[..., 1, 1], found[..., 1, 2] = sx * sy, cx, -sx * cy
-    found[..., 2, 0], found[..., 2, 1], found[..., 2, 2] = -cx * sy, sx, cx * cy
-    return found
+    entries = cy, 0.0, sy, sx * sy, cx, -sx * cy, -cx * sy, sx, cx * cy  # row by row
+    found = np.empty((*np.shape(cx), 9), np.result_type(cx, cy))
+    for index, entry in enumerate(entries):
+        found[..., index] = entry
+    return found.reshape(*np.shape(cx), 3, 3)
 
 
 def trial_count(*perturbations: Pose | SurfacePerturbation) -> int | None:

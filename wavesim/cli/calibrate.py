@@ -71,7 +71,7 @@ def calibrate(
     their noise, and 1 if they are not, or if they were not judged: with --verdict none, or where an
     interrupt has ended the run before the verdict. After an interrupt, repeat the command to continue.
 
-    Verdict and standard deviations take half of the time. --verdict none and --no-deviations omit them.
+    Verdict and standard deviations take half of the time, and can be left out (--verdict, --no-deviations).
 
     Example: wavesim calibrate frames/*.tif --design lens.toml -o bench
     """

@@ -238,7 +238,7 @@ def test_a_known_object_needs_no_option_for_less(wavesim: Command, data: Path, t
     assert (code, "not judged: --verdict none" in out) == (1, True), err
     code, out, err = wavesim("calibrate", *known, "--no-deviations")
     assert (code, out) == (2, "")
-    assert "--deviations: are not computed with --truth" in " ".join(err.split())
+    assert "--deviations: are not computed with --known" in " ".join(err.split())
 
 
 def test_deviations_are_needed_for_frames_without_an_object(

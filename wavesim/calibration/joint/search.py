@@ -327,9 +327,7 @@ class JointSearch:
             self._without_wrong_limit(self._converged_fit(current.unknowns, verified)), ray_derivatives
         )
         if not self.has_deviations:
-            estimates = best.unknowns.of([p.name for p in self.parameters])
-            needed = np.ones(len(estimates), bool)
-            return FitResult(best.unknowns, estimates, needed, None, best.misfit, state.trail, reason)
+            return self._without_deviations(best, equations, state, reason)
         eliminated = equations.eliminated(
             ELIMINATION_ITERATIONS if self.known is None else 0,
             lambda done, total: self.on_stage("standard deviations", done, total),
@@ -352,6 +350,17 @@ class JointSearch:
         best, needed = self._with_fewer(best, estimates, covariance)
         end = best.misfit, state.trail, reason, uncertainty
         return FitResult(best.unknowns, estimates, needed, covariance, *end)
+
+    def _without_deviations(
+        self, best: _BenchFit, equations: GaussNewtonStep, state: SearchState, reason: str
+    ) -> FitResult:
+        """Return the bench of the last estimates, or the one before if that is better; all are needed."""
+        names = [p.name for p in self.parameters]
+        last = best.unknowns.changed(names, self._estimates(best, equations).tolist())
+        best = self._fit_within((EQUAL_RATIO * best.misfit) ** 2, last, best) or best
+        needed = np.ones(len(names), bool)
+        end = best.misfit, state.trail, reason
+        return FitResult(best.unknowns, best.unknowns.of(names), needed, None, *end)
 
     def _refined(
         self, best: _BenchFit, ray_derivatives: RayDerivatives | None
