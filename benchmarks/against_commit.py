@@ -46,15 +46,14 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--command")
     given = parser.parse_args()
-    if given.command is not None:
-        with _checkout(given.commit) as older:
+    with _checkout(given.commit) as older:
+        if given.command is not None:
             words = shlex.split(given.command)
             print_table(
                 f"{given.command}, this version and {given.commit}",
                 _rows_of_command(words, older, given.rounds),
             )
-        return
-    with _checkout(given.commit) as older:
+            return
         for folder in given.folders:
             print_table(
                 f"{folder.name}, this version and {given.commit}",

@@ -234,7 +234,7 @@ class _Search:
             error = self.good(model, found) - self.required
             if abs(error) <= small_error:
                 break
-            target = self.required + self.smooth_yield(model, found, widths) - self.good(model, found)
+            target = self.smooth_yield(model, found, widths) - error
         return found
 
     def search(self, model: ScoreModel, start: Array, widths: Array, target: float) -> Array:
