@@ -14,7 +14,7 @@ import numpy as np
 
 from lensdesign.lens.shapes import compiled as shapes
 from lensdesign.lens.shapes import intersection
-from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE, ROUNDED_RESIDUAL
+from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE, ROUNDED_RESIDUAL, has_settled
 from lensdesign.raytrace import conic_kernel, shape_kernel
 from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from lensdesign.raytrace.conic_kernel import (
@@ -44,6 +44,8 @@ CONIC = 0
 
 _jit = cached_njit(nogil=True, error_model="numpy")
 _inline = cached_njit(nogil=True, error_model="numpy", inline="always")
+
+_has_settled = _inline(has_settled)
 
 
 @_jit
@@ -342,7 +344,7 @@ def _one_by_one(
 @_jit
 def newton(x, y, z, dx, dy, dz, t, formulas, code, terms, surface=-1, figures=None, trial=0):
     """Return the distance of a ray to a surface from a first guess, and the status of the ray."""
-    settled_before = False
+    before = 0.0
     for _ in range(NEWTON_STEPS):
         px, py = x + t * dx, y + t * dy
         sag, by_x, by_y = _sag_and_slopes(px, py, formulas, code, terms, surface, figures, trial)
@@ -352,11 +354,10 @@ def newton(x, y, z, dx, dy, dz, t, formulas, code, terms, surface=-1, figures=No
         if not (abs(step) < np.inf) or abs(slope) <= 1e-12:
             return t, MISSED
         t -= step
-        settled = abs(step) <= 1e-14 * (1.0 + abs(t))
-        if settled and settled_before:
+        if _has_settled(step, before, t):
             return t, OK if slope > 0.0 else MISSED
-        settled_before = settled
-    if not (settled_before or abs(residual) <= ROUNDED_RESIDUAL * (1.0 + abs(t))):
+        before = step
+    if abs(residual) > ROUNDED_RESIDUAL * (1.0 + abs(t)):
         return t, NOT_CONVERGED
     return t, OK if slope > 0.0 else MISSED
 

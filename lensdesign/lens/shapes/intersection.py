@@ -21,10 +21,24 @@ RIM_TOLERANCE = 1e-9
 NEWTON_STEPS = 20
 """Largest number of Newton steps from the conic to the surface; rays that need more get a status."""
 
+ROUNDED_STEP = 1e-14
+"""Step, over 1 mm plus the distance, that is rounding."""
+
 ROUNDED_RESIDUAL = 1e-13
 """Residual in mm, over 1 mm plus the length of the path, that rounding may leave. Steps of a grazing ray are
 longer and never settle, although its point lies on the surface.
 """
+
+
+def has_settled(step: Array, before: Array, distance: Array) -> Array:
+    """Return whether the next step of Newton's method would be rounding, also in compiled code.
+
+    A step is smaller than the one before it by a factor that shrinks, or stays where two roots meet. The next
+    step is then at most this one times their ratio. Steps and distance are in mm; the first step has 0 before
+    it.
+    """
+    rounding = ROUNDED_STEP * (1.0 + abs(distance))
+    return step * step <= rounding * np.maximum(abs(before), rounding)
 
 
 def sag_and_slopes(
@@ -92,6 +106,7 @@ def _newton(
     position: Array, direction: Array, distance: Array, hit: Array, shape: Shape, sag_error: SagError | None
 ) -> tuple[Array, Array, Array]:
     converged = np.zeros_like(hit)
+    before = np.zeros(hit.shape)
     for _ in range(NEWTON_STEPS):
         x, y, z = np.moveaxis(position + distance[..., None] * direction, -1, 0)
         height, by_x, by_y = sag_and_slopes(shape, x, y, sag_error)
@@ -100,9 +115,10 @@ def _newton(
         hit = hit & np.isfinite(np.real(residual)) & (np.abs(slope) > 1e-12)
         step = np.where(hit, residual, 0.0) / np.where(hit, slope, 1.0)
         distance = distance - step
-        settled = np.abs(np.real(step)) <= 1e-14 * (1.0 + np.abs(np.real(distance)))
-        if np.all(settled & converged | ~hit):
+        settled = has_settled(np.real(step), before, np.real(distance))
+        # Derivatives in the imaginary part settle one step later.
+        if np.all(converged | ~hit):
             break
-        converged = settled
+        converged, before = converged | hit & settled, np.real(step)
     converged |= hit & (np.abs(np.real(residual)) <= ROUNDED_RESIDUAL * (1.0 + np.abs(np.real(distance))))
     return distance, hit & (~converged | (np.real(slope) > 0.0)), converged

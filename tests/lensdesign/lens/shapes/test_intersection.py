@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from lensdesign.lens.shapes.conic import Conic
 from lensdesign.lens.shapes.even_asphere import EvenAsphere
-from lensdesign.lens.shapes.intersection import intersect
+from lensdesign.lens.shapes.intersection import Array, intersect
 from lensdesign.lens.shapes.registry import code_of, needed_formulas
 from lensdesign.raytrace.conic_kernel import conic_distance
 from lensdesign.raytrace.kernel import newton
@@ -65,3 +67,62 @@ def test_a_ray_that_grazes_a_distant_asphere_reaches_it() -> None:
     compiled, status = newton(*origin, *direction, start, formulas, code, terms)
     assert status == Status.OK
     assert compiled == pytest.approx(distance[0], abs=1e-9)
+
+
+def test_newton_ends_when_its_next_step_would_be_rounding() -> None:
+    """A ray through a figure of 100 nm needs two or three evaluations, and the derivative one more."""
+    calls = 0
+
+    def ripple(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        nonlocal calls
+        calls += 1
+        return 1e-4 * np.sin(3.0 * x), 3e-4 * np.cos(3.0 * x), 0.0 * y
+
+    position, direction = np.array([[1.0, 0.5, -20.0]]), np.array([[0.1, -0.05, math.sqrt(1.0 - 0.0125)]])
+    distance, hit, converged = intersect(position, direction, conic(0.1), ripple)
+    assert hit[0]
+    assert converged[0]
+    assert calls <= 4
+    x, y, z = position[0] + distance[0] * direction[0]
+    assert z == pytest.approx(conic(0.1).sag_and_slopes(x, y)[0] + 1e-4 * math.sin(3.0 * x), abs=1e-14)
+
+
+@pytest.mark.parametrize("below_mm", [1e-3, 1e-6, 1e-9])
+def test_newton_does_not_end_early_where_two_roots_nearly_meet(below_mm: float) -> None:
+    """Its steps halve there instead of shrinking quadratically: a ray that nearly touches a sphere."""
+    shape = EvenAsphere(np.array([0.1, 0.0, 1e-12]))
+    position = np.array([[0.0, 10.0 - below_mm, -30.0]])
+    distance, hit, converged = intersect(position, AHEAD, shape)
+    assert hit[0]
+    assert converged[0]
+    residual = -30.0 + distance[0] - shape.sag_and_slopes(np.array(0.0), np.array(10.0 - below_mm))[0]
+    assert residual == pytest.approx(0.0, abs=1e-13 * 40.0)
+    start, _ = conic_distance(*position[0], *AHEAD[0], *shape.terms[:2])
+    code = code_of(shape)
+    formulas = needed_formulas(bytes([code]), len(shape.terms))
+    compiled, status = newton(*position[0], *AHEAD[0], start, formulas, code, shape.terms)
+    assert status == Status.OK
+    assert compiled == pytest.approx(distance[0], abs=1e-12)
+
+
+@given(
+    bits=st.lists(st.floats(-1.0, 1.0), min_size=8, max_size=8),
+    term=st.sampled_from([0.0, 1e-5, 1e-3, 0.1]),
+)
+def test_both_tracers_give_a_ray_one_status_and_one_distance(bits: list[float], term: float) -> None:
+    """Rays from everywhere in every direction at a strong asphere, many of which graze or miss it."""
+    origin = 15.0 * np.array(bits[:3]) - np.array([0.0, 0.0, 10.0])
+    direction = np.array(bits[3:6]) + np.array([0.0, 0.0, 1e-3])
+    assume(np.linalg.norm(direction) > 1e-2)
+    direction /= np.linalg.norm(direction)
+    shape = EvenAsphere(np.array([0.15 * bits[6], bits[7], term]))
+    start, met = conic_distance(*origin, *direction, *shape.terms[:2])
+    assume(met)
+    with np.errstate(over="ignore"):
+        distance, hit, converged = intersect(origin[None], direction[None], shape)
+    code = code_of(shape)
+    formulas = needed_formulas(bytes([code]), len(shape.terms))
+    compiled, status = newton(*origin, *direction, start, formulas, code, shape.terms)
+    assert (status == Status.OK) == (hit[0] and converged[0])
+    if status == Status.OK:
+        assert compiled == pytest.approx(distance[0], rel=1e-9, abs=1e-9)
