@@ -46,7 +46,7 @@ LEAST_INFORMATION = 0.5
 With more information, a standard deviation falls by at least a fifth.
 """
 
-LOSS_ITERATIONS, LEAST_LOSS = 5, 0.1
+LOSS_ITERATIONS, LEAST_LOSS = 3, 0.06
 """Iterations of the elimination of the object, and the relative increase of a combination's variance in them
 below which the combination of parameters is no longer followed.
 
