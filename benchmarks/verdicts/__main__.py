@@ -98,6 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> list[Result]:
     parser.add_argument("--group", action="append", choices=("wrong", "perfect", "cause"), default=[])
     parser.add_argument("--frames", type=Path, help="folder that keeps recorded frames for the next run")
     parser.add_argument("--json", type=Path, help="file to which the results are written, too")
+    parser.add_argument("--verdict", choices=("full", "quick"), default="full", help="verdict that is tried")
     parser.add_argument("--list", action="store_true", help="print names alone")
     given = parser.parse_args(arguments)
     cases = chosen_cases(given.names, given.group)
@@ -109,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> list[Result]:
     results, begun = [], perf_counter()
     with ExitStack() as stack:
         folder = given.frames or Path(stack.enter_context(TemporaryDirectory()))
-        judge = Judge(folder)
+        judge = Judge(folder, given.verdict)
         print(table_head(), flush=True)
         for case in cases:
             results.append(judge.result(case))

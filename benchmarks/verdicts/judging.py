@@ -63,8 +63,8 @@ class Result:
 class Judge:
     """Runs cases, and remembers what benches without an error came to."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, verdict: str = "full") -> None:
+        self._folder, self._verdict = folder, verdict
         self._benches = dict[Bench, BenchFrames]()
         self._right = dict[str, float | None]()
 
@@ -126,12 +126,14 @@ class Judge:
         truth = self._bench(case.bench).truth(case.stop_um)
         given: dict[str, Any] = {"kind": case.bench.kind, "patch_mm": case.bench.patch_mm}
         given |= dict(case.bench.reconstructed) | dict(case.settings)
+        verdict = self._verdict if stated else "none"
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             found, status, message = None, FAILED, ""
             try:
                 read = read_frames(paths, FrameSetSettings(**dict(case.stated if stated else ())), lens=lens)
-                found = reconstruct_frames(lens, read, ReconstructionSettings(**given), truth=truth)
+                settings = ReconstructionSettings(**given)
+                found = reconstruct_frames(lens, read, settings, truth=truth, verdict=verdict)
                 status = EXPLAINED if found.verdict.explained else NOT_EXPLAINED
                 message = found.verdict.words
             except TransferLensError as error:
