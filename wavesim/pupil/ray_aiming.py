@@ -168,26 +168,17 @@ class _Guides:
         Indices of the guides.
     fit : ndarray, shape (m, terms)
         Values at the guides times this matrix are the coefficients of the polynomial.
-    x, y : ndarray, shape (n,)
-        Direction cosines of all rays about their middle, scaled to 1.
+    terms : ndarray, shape (terms, n)
+        Products of powers of the direction cosines of all rays, about their middle and scaled to 1.
     """
 
     rays: NDArray[np.intp]
     fit: Array
-    x: Array
-    y: Array
+    terms: Array
 
     def interpolated(self, values: Array) -> Array:
         """Return values at the guides, shape (2, m), interpolated to all rays."""
-        coefficients = np.zeros((DEGREE + 1, DEGREE + 1, len(values)))
-        for column, power in zip((values @ self.fit).T, _powers(), strict=True):
-            coefficients[power] = column
-        return np.asarray(np.polynomial.polynomial.polyval2d(self.x, self.y, coefficients))
-
-
-def _powers() -> list[tuple[int, int]]:
-    """Return the powers of x and y of all terms."""
-    return [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+        return np.asarray((values @ self.fit) @ self.terms)
 
 
 def _guides_of(cosines: Array) -> _Guides:
@@ -198,8 +189,8 @@ def _guides_of(cosines: Array) -> _Guides:
     rim = np.argmax(np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) @ centred, axis=1)
     rays = np.unique(np.append(np.linspace(0, cosines.shape[1] - 1, inside).astype(int), rim))
     x, y = centred / np.max(np.abs(centred))
-    terms = np.stack([x[rays] ** i * y[rays] ** j for i, j in _powers()])
-    return _Guides(rays, np.linalg.pinv(terms), x, y)
+    terms = np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
+    return _Guides(rays, np.linalg.pinv(terms[:, rays]), terms)
 
 
 def _miss(

@@ -53,7 +53,7 @@ def test_polynomials_between_guides_are_exact(nominal: AimingMap) -> None:
     coefficients = random.standard_normal((DEGREE + 1, DEGREE + 1, 2))
     i, j = np.indices((DEGREE + 1, DEGREE + 1))
     coefficients[i + j > DEGREE] = 0.0
-    values = np.polynomial.polynomial.polyval2d(guides.x, guides.y, coefficients)
+    values = np.polynomial.polynomial.polyval2d(*nominal.cosines, coefficients)
     found = guides.interpolated(values[:, guides.rays])
     np.testing.assert_allclose(found, values, atol=1e-9 * np.abs(values).max())
 
@@ -65,7 +65,8 @@ def test_corrections_that_polynomials_miss_guide_no_ray(
     state = STATES["moved"]
     system = compile_system(PAPER, WAVELENGTH_UM, state.pose)
     assert nominal._guides is not None
-    fine = np.cos(9.0 * np.arctan2(nominal._guides.y, nominal._guides.x))[nominal._guides.rays]
+    x, y = nominal.cosines[:, nominal._guides.rays]
+    fine = np.cos(9.0 * np.arctan2(y, x))
     times = ray_aiming._times
     monkeypatch.setattr(ray_aiming, "_times", lambda matrices, vectors: times(matrices, vectors) * fine)
     targets = nominal.points_mm
