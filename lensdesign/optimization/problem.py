@@ -203,9 +203,7 @@ class DesignProblem:
 
     @cached_property
     def _cold(self) -> DesignProblem:
-        bare = self.specification.without_ghosts().model_copy(
-            update={"environment": None, "tolerances": None}
-        )
+        bare = self.specification.model_copy(update={"environment": None, "tolerances": None})
         return DesignProblem(bare, self.base)
 
     @cached_property

@@ -414,6 +414,7 @@ def verdict(
     calibrated: bool = False,
     rounding: float = 0.0,
     noise_correlation: float | None = None,
+    untested: Sequence[str] = (),
 ) -> GoodnessOfFit:
     """Judge a result by its residuals on the planes.
 
@@ -439,6 +440,8 @@ def verdict(
         Largest fraction of a dark pixel's variance that is due to rounding to counts.
     noise_correlation
         Least correlation with the true object that noise and errors of the model leave.
+    untested
+        What was not tested.
     """
     judged = plane_verdicts(planes, model_error)
     excess = [plane.excess for plane in judged]
@@ -473,6 +476,7 @@ def verdict(
         tuple(undetected),
         model_error,
         noise_correlation=noise_correlation,
+        untested=tuple(untested),
     )
 
 

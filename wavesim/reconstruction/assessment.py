@@ -137,7 +137,7 @@ def judge_result(
         noise_correlation: float | None = None,
         untested: Sequence[str] = (),
     ) -> GoodnessOfFit:
-        found_verdict = verdict(
+        return verdict(
             residuals,
             trials,
             curve,
@@ -148,8 +148,8 @@ def judge_result(
             calibrated=case.calibrated,
             rounding=case.rounding,
             noise_correlation=noise_correlation,
+            untested=untested,
         )
-        return replace(found_verdict, untested=tuple(untested))
 
     first = judged()
     without_tests = (OTHER_BENCHES, TRUE_CORRELATION) if first.within else ("causes",)

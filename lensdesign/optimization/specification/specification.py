@@ -198,18 +198,6 @@ class Specification(Lens):
         )
         return self.model_copy(update={"constraints": limits})
 
-    def without_ghosts(self) -> Self:
-        """Return the specification without goal and constraint of ghosts."""
-        if not self.asks_ghosts:
-            return self
-        goal = "thinnest lens" if self.optimize.goal == GHOST_GOAL else self.optimize.goal
-        return self.model_copy(
-            update={
-                "constraints": self.constraints.replaced(max_ghost_fraction=None),
-                "optimize": self.optimize.replaced(goal=goal),
-            }
-        )
-
     @property
     def asks_ghosts(self) -> bool:
         """True if goal or constraints concern ghosts."""

@@ -102,9 +102,6 @@ def test_specifications_without_ghosts_do_not_compute_them():
     problem = DesignProblem(specification, specification.lens)
     assert not specification.asks_ghosts
     assert problem.ghosts(np.full(3, 0.5)) is None
-    assert specification.without_ghosts() is specification
-    asked = singlet("smallest ghost fraction", max_ghost_fraction=0.01)
-    assert not asked.without_ghosts().asks_ghosts
 
 
 @pytest.mark.parametrize("value", ["0.0", "1.5", '"sensor"'])
