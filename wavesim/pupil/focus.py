@@ -22,8 +22,17 @@ STEPS = 4
 """Number of trial planes to either side. A parabola interpolates between the best one and its neighbours."""
 
 
+KEPT_SAMPLES = 2**18
+"""Largest number of samples of a pupil whose planes are kept.
+
+A search has about a dozen planes, each with what scores compute from it.
+"""
+
+
 class FocalPlanes:
     """A registered pupil in planes along the axis, which several scores can share.
+
+    Planes of pupils with more than `KEPT_SAMPLES` are made again for each score, to save memory.
 
     Parameters
     ----------
@@ -38,10 +47,13 @@ class FocalPlanes:
 
     def at(self, distance_um: float) -> ReconstructionPupil:
         """Return the pupil in the plane at a distance; its lateral position does not change."""
-        if distance_um not in self._moved:
-            path = self.pupil.opd_mm + 1e-3 * distance_um * self._across
-            self._moved[distance_um] = replace(self.pupil, opd_mm=path)
-        return self._moved[distance_um]
+        if distance_um in self._moved:
+            return self._moved[distance_um]
+        path = self.pupil.opd_mm + 1e-3 * distance_um * self._across
+        moved = replace(self.pupil, opd_mm=path)
+        if path.size <= KEPT_SAMPLES:
+            self._moved[distance_um] = moved
+        return moved
 
 
 def best_focus(

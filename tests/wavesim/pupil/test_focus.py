@@ -8,7 +8,15 @@ import pytest
 from lensdesign.errors import SamplingError
 from lensdesign.lens.poses import Pose
 from wavesim import line_pair_contrast, refocus, strehl
-from wavesim.pupil import PatchReconstructor, PupilSampler, best_focus, patch_bar_contrast, remove_shift
+from wavesim.pupil import (
+    FocalPlanes,
+    PatchReconstructor,
+    PupilSampler,
+    best_focus,
+    focus,
+    patch_bar_contrast,
+    remove_shift,
+)
 from wavesim.pupil.focus import search_range_um
 
 WIDTH_UM = 0.775
@@ -36,6 +44,21 @@ def test_a_pupil_that_is_out_of_focus_is_brought_back(samplers, field_y):
     assert registered.shift_um + found.shift_um == pytest.approx(by_phase.shift_um, abs=0.02)
     assert registered.piston_um + found.piston_um == pytest.approx(by_phase.piston_um, abs=0.02)
     assert strehl(found.pupil) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_planes_that_scores_share_change_no_score_and_are_kept_of_small_pupils_only(samplers, monkeypatch):
+    pupil = refocus(samplers[1.0].pupil(Pose(tilt_x_deg=0.3))).pupil
+    shared = FocalPlanes(pupil)
+    for score in (contrast, strehl):
+        alone = best_focus(pupil, score)
+        together = best_focus(shared, score)
+        assert together.refocus_um == alone.refocus_um
+        assert score(together.pupil) == score(alone.pupil)
+    assert shared.at(0.5) is shared.at(0.5)
+    monkeypatch.setattr(focus, "KEPT_SAMPLES", pupil.opd_mm.size - 1)
+    remade = FocalPlanes(pupil)
+    assert remade.at(0.5) is not remade.at(0.5)
+    np.testing.assert_array_equal(remade.at(0.5).opd_mm, shared.at(0.5).opd_mm)
 
 
 def test_contrast_is_best_beside_the_flattest_phase(samplers):
