@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from lensdesign.errors import InputError
+from tolerancing.budgets import allocation
 from tolerancing.budgets.allocation import allocate_tolerances
 from tolerancing.merits.base import Merit
 
@@ -165,3 +168,32 @@ def test_what_has_no_effect_is_loosened_to_its_limit():
     best = best[np.argmin(np.abs(np.linalg.norm(slopes * best, axis=1) - 1.0 / ndtri(0.9)))]
     assert found.cost == pytest.approx(np.sum(1.0 / best), rel=0.02)
     assert np.min(found.scales[12:]) > 3.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_fewer_lenses_in_the_first_step_and_a_start_found_before_lead_to_the_same_optimum(seed):
+    """The last step has all lenses: their yield is met, at the cost of a search with all from the start."""
+    rng = np.random.default_rng(seed)
+    slopes, draws = rng.uniform(0.2, 2.0, 6), 0.2 * normal_draws(6, 13)
+    weights = 10.0 ** rng.uniform(-1.0, 1.0, 6)
+    model, few = linear(slopes, draws), linear(slopes, draws[:1024])
+    whole = allocate_tolerances(model, [LIMIT], 0.9, **wide(6), weights=weights)
+    coarse = allocate_tolerances(model, [LIMIT], 0.9, **wide(6), weights=weights, coarse=few)
+    again = allocate_tolerances(model, [LIMIT], 0.9, **wide(6), weights=weights, start=coarse.scales)
+    for found in (coarse, again):
+        assert found.predicted_yield >= 0.9
+        assert found.predicted_yield == pytest.approx(0.9, abs=1e-3)
+        assert found.cost == pytest.approx(whole.cost, rel=0.005)
+    assert again.evaluations < coarse.evaluations
+
+
+@given(start=st.floats(0.1, 10.0), spread=st.floats(0.01, 20.0))
+def test_the_common_scale_is_the_largest_that_meets_the_yield(start, spread):
+    """Wherever its search starts, and where all scales or none within the range meet the yield."""
+    model = linear(np.array([1.0]), spread * normal_draws(1, 9))
+    search = allocation._Search(
+        model, model, [LIMIT], 0.9, np.array([0.1]), np.array([10.0]), np.array([1.0])
+    )
+    found = search.largest_factor(np.array([start]))[0]
+    largest = 1.0 / np.quantile(model.deviations[:, 0], 0.9, method="inverted_cdf")
+    assert found == pytest.approx(np.clip(largest, 0.1, 10.0), rel=2e-5)
