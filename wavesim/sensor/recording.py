@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens, Sensor
 from wavesim.engines.eikonal.tile_store import TileStore
 from wavesim.fields.field import Field, Grid
@@ -406,7 +406,11 @@ def fields_on_sensor(
     exit_grid = engine.scene.exit_grid
     for grid in grids:
         if grid != exit_grid:  # before the engine's work
-            FreeSpacePropagator(exit_grid, grid, behind_object.wavelength_um).check_samples()
+            try:
+                FreeSpacePropagator(exit_grid, grid, behind_object.wavelength_um).check_samples()
+            except SamplingError as error:
+                advice = "or engine hierarchical, which needs no such spectrum"
+                raise SamplingError(f"{error}, {advice}") from None
     first = engine.forward(behind_object)
     for grid in grids:
         tilt_deg = recording.state.sensor_tilt_deg

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from wavesim.engines.with_ghost import WithGhost
 from wavesim.fields.field import Field
@@ -241,3 +241,10 @@ def test_layers_need_light_of_one_direction_and_wavelength() -> None:
 def test_objects_must_be_as_many_as_layers() -> None:
     with pytest.raises(InputError, match="2 objects for 3 layers"):
         image(LENS, ("star", "empty"), **SETTINGS, layers_um=(-20.0, -10.0, 0.0))
+
+
+def test_too_large_a_spectrum_is_refused_with_the_engine_that_needs_none() -> None:
+    """Behind the full-size lens even a small patch has wide light, which 20 mm of free space cannot carry."""
+    lens = load_design("designs/paper_singlet.toml")
+    with pytest.raises(SamplingError, match=r"samples of the spectrum .*, or engine hierarchical"):
+        image(lens, "usaf", patch_mm=0.1)
