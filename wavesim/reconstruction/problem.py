@@ -224,26 +224,36 @@ def reconstruction_problem(
     source = _planned_source(settings, light, known)
     modes = modes_on(light, source)
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
+    shown = shown.at(light.grid.z_mm)
+    refocus_grid = _refocus_grid(scene, settings, shown)
+
+    def memory_with(engine: Engine) -> Memory:
+        need = run_bytes(
+            engine,
+            recorded,
+            settings,
+            modes=modes,
+            frames_bytes=sum(frame.counts.nbytes for frame in frames),
+            shown=shown.size,
+            refocused=0 if settings.focus_mm is None else refocus_grid.size,
+            has_truth=true is not None,
+        )
+        return Memory(need, limit)
+
     engine = _engine(scene, settings, runs, limit, frame_light)
+    memory = memory_with(engine)
+    if not memory.is_sufficient and settings.engine == AUTO and settings.method == "object":
+        # Tiles need no field between lens and sensor, which is wide behind a large lens.
+        of_tiles = settings.replaced(engine="hierarchical")
+        tiled = _engine(scene, of_tiles, runs, limit, frame_light)
+        if memory_with(tiled).is_sufficient:
+            settings, engine, memory = of_tiles, tiled, memory_with(tiled)
     if settings.cluster is not None:
         validate_tiled(engine)
         if source.bandwidth_nm:
             raise SettingError(
                 "{bandwidth_nm}: cannot be used with {cluster}, whose tiles are of one wavelength"
             )
-    shown = shown.at(light.grid.z_mm)
-    refocus_grid = _refocus_grid(scene, settings, shown)
-    need = run_bytes(
-        engine,
-        recorded,
-        settings,
-        modes=modes,
-        frames_bytes=sum(frame.counts.nbytes for frame in frames),
-        shown=shown.size,
-        refocused=0 if settings.focus_mm is None else refocus_grid.size,
-        has_truth=true is not None,
-    )
-    memory = Memory(need, limit)
     scratch = scratch_in(folder, _scratch_limit(memory, settings))
     key = _key(lens, framed.frames, settings, light, recorded, engine, known)
     sought = frozenset[str]()

@@ -82,6 +82,11 @@ class Memory:
     need: MemoryNeed
     limit_bytes: float
 
+    @property
+    def is_sufficient(self) -> bool:
+        """True if the run fits in its limit, at least with all movable arrays in files."""
+        return self.need.least_bytes <= self.limit_bytes
+
     def room_for_arrays(self, what: str) -> float:
         """Return the bytes of movable arrays that may stay in memory; `what` names the run in messages.
 
@@ -91,7 +96,7 @@ class Memory:
             If the run exceeds its limit even with all movable arrays in files.
         """
         least, limit = self.need.least_bytes, self.limit_bytes
-        if least > limit:
+        if not self.is_sufficient:
             raise MemoryLimitError(
                 f"{what} needs at least {1e-9 * least:.3g} GB of memory (allowed: {1e-9 * limit:.3g} GB); "
                 f"use --memory-gb {math.ceil(1e-8 * least) / 10.0:g} or more, a smaller --patch-mm, or "

@@ -22,6 +22,8 @@ from wavesim.metrics.comparison import random_field
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.problem import ReconstructionProblem, light_of_frames, reconstruction_problem
+from wavesim.runtime.memory import MemoryLimitError, MemoryNeed, in_memory
+from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
@@ -242,3 +244,25 @@ def test_the_method_of_the_paper_refuses_a_calibrated_source(
         reconstruction_problem(*few_frames, settings, None, CALIBRATED, None)
     coherent = settings.replaced(source_deg=0.0, bandwidth_nm=0.0)
     assert reconstruction_problem(*few_frames, coherent, None, CALIBRATED, None).source == Source()
+
+
+def test_tiles_replace_an_engine_whose_fields_between_lens_and_sensor_do_not_fit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As behind the full-size lens. An engine that the settings name is not replaced."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+    frames = image(lens, "star", patch_mm=0.03, engine="eikonal", error=0.3).frames
+    settings = ReconstructionSettings(kind="amplitude", patch_mm=0.03)
+    usual = reconstruction_problem(lens, frames, settings, None, None, None)
+    assert not isinstance(usual.engine, Tiled)
+
+    def needs(engine: Engine, *_: Any, **__: Any) -> MemoryNeed:
+        return in_memory(10 if isinstance(engine, Tiled) else 10**15)
+
+    monkeypatch.setattr("wavesim.reconstruction.problem.run_bytes", needs)
+    found = reconstruction_problem(lens, frames, settings, None, None, None)
+    assert isinstance(found.engine, Tiled)
+    assert found.memory.is_sufficient
+    assert isinstance(found.engine_of_error(0.02)[0], Tiled)
+    with pytest.raises(MemoryLimitError, match="the reconstruction needs at least"):
+        reconstruction_problem(lens, frames, settings.replaced(engine="eikonal"), None, None, None)
