@@ -157,6 +157,9 @@ class AimingMap:
 DEGREE = 4
 """Degree of the polynomials that interpolate between guides."""
 
+KEPT_RAYS = 2**16
+"""Largest number of rays whose terms of the polynomials are kept, which takes 8 MB."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Guides:
@@ -168,17 +171,31 @@ class _Guides:
         Indices of the guides.
     fit : ndarray, shape (m, terms)
         Values at the guides times this matrix are the coefficients of the polynomial.
-    terms : ndarray, shape (terms, n)
-        Products of powers of the direction cosines of all rays, about their middle and scaled to 1.
+    x, y : ndarray, shape (n,)
+        Direction cosines of all rays about their middle, scaled to 1.
     """
 
     rays: NDArray[np.intp]
     fit: Array
-    terms: Array
+    x: Array
+    y: Array
 
     def interpolated(self, values: Array) -> Array:
         """Return values at the guides, shape (2, m), interpolated to all rays."""
-        return np.asarray((values @ self.fit) @ self.terms)
+        coefficients = values @ self.fit
+        if len(self.x) <= KEPT_RAYS:
+            return np.asarray(coefficients @ self._terms)
+        parts = [slice(start, start + KEPT_RAYS) for start in range(0, len(self.x), KEPT_RAYS)]
+        return np.concatenate([coefficients @ _terms(self.x[i], self.y[i]) for i in parts], axis=1)
+
+    @cached_property
+    def _terms(self) -> Array:
+        return _terms(self.x, self.y)
+
+
+def _terms(x: Array, y: Array) -> Array:
+    """Return the products of powers of x and y up to `DEGREE`, shape (terms, n)."""
+    return np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
 
 
 def _guides_of(cosines: Array) -> _Guides:
@@ -189,8 +206,7 @@ def _guides_of(cosines: Array) -> _Guides:
     rim = np.argmax(np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) @ centred, axis=1)
     rays = np.unique(np.append(np.linspace(0, cosines.shape[1] - 1, inside).astype(int), rim))
     x, y = centred / np.max(np.abs(centred))
-    terms = np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
-    return _Guides(rays, np.linalg.pinv(terms[:, rays]), terms)
+    return _Guides(rays, np.asarray(np.linalg.pinv(_terms(x[rays], y[rays]))), x, y)
 
 
 def _miss(

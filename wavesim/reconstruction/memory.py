@@ -110,6 +110,7 @@ def run_bytes(
     shown: int,
     refocused: int,
     has_truth: bool,
+    tests_bench: bool,
 ) -> MemoryNeed:
     """Return the memory of the command `wavesim reconstruct`, from reading frames to writing results.
 
@@ -125,6 +126,8 @@ def run_bytes(
         Numbers of samples that are judged and written, and that are refocused.
     has_truth
         Whether the result is compared with a true object.
+    tests_bench
+        Whether the verdict tests other benches.
     """
     on_object, at_exit = engine.scene.object_grid.size, engine.scene.exit_grid.size
     truth = movable(COMPLEX64 * on_object * has_truth)
@@ -137,7 +140,7 @@ def run_bytes(
             engine, recorded, kind=settings.kind, fill_factor=settings.fill_factor, modes=modes
         )
         state_bytes, found_bytes = 2 * _step_bytes(on_object, settings.kind), COMPLEX64 * on_object
-        testing_bytes = _testing_bytes(engine, len(recorded), settings.kind)
+        testing_bytes = _bench_test_bytes(engine, len(recorded), settings.kind) if tests_bench else 0
     else:
         iterating = truth + paper_bytes(engine, recorded)
         state_bytes, found_bytes = 2 * COMPLEX64 * at_exit, COMPLEX64 * (at_exit + shown)
@@ -153,7 +156,7 @@ def run_bytes(
     return in_memory(BASE_BYTES) + (reading | iterating | results)
 
 
-def _testing_bytes(engine: Engine, planes: int, kind: Kind) -> int:
+def _bench_test_bytes(engine: Engine, planes: int, kind: Kind) -> int:
     """Return the memory of the score test of the bench, with a second engine of another wavelength."""
     if isinstance(engine, Tiled):  # it is not tested
         return 0

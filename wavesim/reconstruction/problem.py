@@ -125,6 +125,8 @@ class ReconstructionProblem(NamedTuple):
         Storage of large arrays.
     memory : Memory
         Estimate of the memory.
+    bytes_of_bench_test : int
+        Memory with which other benches would be tested, where this is left out for want of it; else 0.
     predicted_error : float
         Upper bound of the engine's relative error.
     engine_of_error : callable
@@ -159,6 +161,7 @@ class ReconstructionProblem(NamedTuple):
     engine_on: Callable[[Grid], Engine]
     scratch: Scratch
     memory: Memory
+    bytes_of_bench_test: int
     predicted_error: float
     engine_of_error: Callable[[float], tuple[Engine, float]]
     calibrated: bool
@@ -224,10 +227,17 @@ def reconstruction_problem(
     source = _planned_source(settings, light, known)
     modes = modes_on(light, source)
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
+    engine = _engine(scene, settings, runs, limit, frame_light)
+    if settings.cluster is not None:
+        validate_tiled(engine)
+        if source.bandwidth_nm:
+            raise SettingError(
+                "{bandwidth_nm}: cannot be used with {cluster}, whose tiles are of one wavelength"
+            )
     shown = shown.at(light.grid.z_mm)
     refocus_grid = _refocus_grid(scene, settings, shown)
 
-    def memory_with(engine: Engine) -> Memory:
+    def memory_of(tests_bench: bool) -> Memory:
         need = run_bytes(
             engine,
             recorded,
@@ -237,23 +247,13 @@ def reconstruction_problem(
             shown=shown.size,
             refocused=0 if settings.focus_mm is None else refocus_grid.size,
             has_truth=true is not None,
+            tests_bench=tests_bench,
         )
         return Memory(need, limit)
 
-    engine = _engine(scene, settings, runs, limit, frame_light)
-    memory = memory_with(engine)
-    if not memory.is_sufficient and settings.engine == AUTO and settings.method == "object":
-        # Tiles need no field between lens and sensor, which is wide behind a large lens.
-        of_tiles = settings.replaced(engine="hierarchical")
-        tiled = _engine(scene, of_tiles, runs, limit, frame_light)
-        if memory_with(tiled).is_sufficient:
-            settings, engine, memory = of_tiles, tiled, memory_with(tiled)
-    if settings.cluster is not None:
-        validate_tiled(engine)
-        if source.bandwidth_nm:
-            raise SettingError(
-                "{bandwidth_nm}: cannot be used with {cluster}, whose tiles are of one wavelength"
-            )
+    memory, missing_bytes = memory_of(settings.verdict == "full"), 0
+    if settings.verdict == "full" and not memory.is_sufficient and memory_of(False).is_sufficient:
+        missing_bytes, memory = memory.need.least_bytes, memory_of(False)
     scratch = scratch_in(folder, _scratch_limit(memory, settings))
     key = _key(lens, framed.frames, settings, light, recorded, engine, known)
     sought = frozenset[str]()
@@ -290,6 +290,7 @@ def reconstruction_problem(
         ),
         scratch=scratch,
         memory=memory,
+        bytes_of_bench_test=missing_bytes,
         predicted_error=predicted_error,
         engine_of_error=engine_of_error,
         calibrated=state is not None,

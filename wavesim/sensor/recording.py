@@ -409,7 +409,7 @@ def fields_on_sensor(
             try:
                 FreeSpacePropagator(exit_grid, grid, behind_object.wavelength_um).check_samples()
             except SamplingError as error:
-                advice = "or engine hierarchical, which needs no such spectrum"
+                advice = "or engine hierarchical, for scalar waves and a sensor without tilt"
                 raise SamplingError(f"{error}, {advice}") from None
     first = engine.forward(behind_object)
     for grid in grids:

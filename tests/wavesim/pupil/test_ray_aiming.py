@@ -47,7 +47,8 @@ def test_guided_rays_end_where_rays_aimed_by_themselves_do(
     assert np.abs(path_waves).max() < ray_aiming.PATH_TOLERANCE_WAVES
 
 
-def test_polynomials_between_guides_are_exact(nominal: AimingMap) -> None:
+def test_polynomials_between_guides_are_exact(nominal: AimingMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also in parts, for bundles of many rays."""
     guides, random = nominal._guides, np.random.default_rng(0)
     assert guides is not None
     coefficients = random.standard_normal((DEGREE + 1, DEGREE + 1, 2))
@@ -56,6 +57,8 @@ def test_polynomials_between_guides_are_exact(nominal: AimingMap) -> None:
     values = np.polynomial.polynomial.polyval2d(*nominal.cosines, coefficients)
     found = guides.interpolated(values[:, guides.rays])
     np.testing.assert_allclose(found, values, atol=1e-9 * np.abs(values).max())
+    monkeypatch.setattr(ray_aiming, "KEPT_RAYS", 1000)
+    np.testing.assert_allclose(guides.interpolated(values[:, guides.rays]), found, atol=1e-15)
 
 
 def test_corrections_that_polynomials_miss_guide_no_ray(

@@ -21,9 +21,9 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.metrics.comparison import random_field
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.problem import ReconstructionProblem, light_of_frames, reconstruction_problem
-from wavesim.runtime.memory import MemoryLimitError, MemoryNeed, in_memory
-from wavesim.scene.engine import Engine, Tiled
+from wavesim.runtime.memory import MemoryNeed, in_memory
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
@@ -246,23 +246,24 @@ def test_the_method_of_the_paper_refuses_a_calibrated_source(
     assert reconstruction_problem(*few_frames, coherent, None, CALIBRATED, None).source == Source()
 
 
-def test_tiles_replace_an_engine_whose_fields_between_lens_and_sensor_do_not_fit(
+def test_other_benches_are_not_tested_where_that_alone_does_not_fit_into_memory(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As behind the full-size lens. An engine that the settings name is not replaced."""
+    """As behind the full-size lens, on whose planes the test takes ten times as much as the search."""
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
-    frames = image(lens, "star", patch_mm=0.03, engine="eikonal", error=0.3).frames
-    settings = ReconstructionSettings(kind="amplitude", patch_mm=0.03)
-    usual = reconstruction_problem(lens, frames, settings, None, None, None)
-    assert not isinstance(usual.engine, Tiled)
+    settings = ReconstructionSettings(kind="amplitude", patch_mm=0.03, engine="eikonal", error=0.3)
+    taken = {"patch_mm": 0.03, "planes_mm": (0.04, 1.1), "pixels": 146, "engine": "eikonal", "error": 0.3}
+    frames = image(lens, "star", seed=0, **taken).frames
+    usual = reconstruct_frames(lens, frames, settings)
+    assert usual.verdict.explained
+    assert usual.verdict.untested == ()
 
-    def needs(engine: Engine, *_: Any, **__: Any) -> MemoryNeed:
-        return in_memory(10 if isinstance(engine, Tiled) else 10**15)
+    def needs(*_: Any, tests_bench: bool, **__: Any) -> MemoryNeed:
+        return in_memory(10**15 if tests_bench else 10)
 
     monkeypatch.setattr("wavesim.reconstruction.problem.run_bytes", needs)
-    found = reconstruction_problem(lens, frames, settings, None, None, None)
-    assert isinstance(found.engine, Tiled)
-    assert found.memory.is_sufficient
-    assert isinstance(found.engine_of_error(0.02)[0], Tiled)
-    with pytest.raises(MemoryLimitError, match="the reconstruction needs at least"):
-        reconstruction_problem(lens, frames, settings.replaced(engine="eikonal"), None, None, None)
+    found = reconstruct_frames(lens, frames, settings)
+    assert np.array_equal(found.transmission.values, usual.transmission.values)
+    assert found.verdict.explained
+    assert found.verdict.untested == ("other benches, which needs --memory-gb 1e+06",)
+    assert reconstruct_frames(lens, frames, settings.replaced(verdict="quick")).verdict.explained

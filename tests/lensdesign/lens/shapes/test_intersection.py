@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy.optimize
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -87,22 +88,30 @@ def test_newton_ends_when_its_next_step_would_be_rounding() -> None:
     assert z == pytest.approx(conic(0.1).sag_and_slopes(x, y)[0] + 1e-4 * math.sin(3.0 * x), abs=1e-14)
 
 
-@pytest.mark.parametrize("below_mm", [1e-3, 1e-6, 1e-9])
-def test_newton_does_not_end_early_where_two_roots_nearly_meet(below_mm: float) -> None:
-    """Its steps halve there instead of shrinking quadratically: a ray that nearly touches a sphere."""
-    shape = EvenAsphere(np.array([0.1, 0.0, 1e-12]))
-    position = np.array([[0.0, 10.0 - below_mm, -30.0]])
-    distance, hit, converged = intersect(position, AHEAD, shape)
+@pytest.mark.parametrize("depth_mm", [1e-4, 1e-9, 1e-14])
+def test_newton_does_not_end_early_where_two_roots_nearly_meet(depth_mm: float) -> None:
+    """Its steps halve there before they shrink quadratically: a ray nearly touches 0.01 r^4 at r = 1 mm."""
+    shape = EvenAsphere(np.array([0.0, 0.0, 0.01]))
+    direction = np.array([0.0, 1.0, 0.04]) / math.hypot(1.0, 0.04)
+    origin = np.array([0.0, 0.0, -0.03 + depth_mm])
+
+    def height(y: float) -> float:
+        return -0.03 + depth_mm + 0.04 * y - 0.01 * y**4
+
+    expected = scipy.optimize.brentq(height, 0.7, 1.0, xtol=1e-15, rtol=1e-15) / direction[1]
+    # Rounding of the point, over the slope at which the ray meets the surface.
+    uncertainty = 1e-15 / (0.04 * (1.0 - (expected * direction[1]) ** 3))
+    distance, hit, converged = intersect(origin[None], direction[None], shape)
     assert hit[0]
     assert converged[0]
-    residual = -30.0 + distance[0] - shape.sag_and_slopes(np.array(0.0), np.array(10.0 - below_mm))[0]
-    assert residual == pytest.approx(0.0, abs=1e-13 * 40.0)
-    start, _ = conic_distance(*position[0], *AHEAD[0], *shape.terms[:2])
+    assert distance[0] == pytest.approx(expected, abs=uncertainty)
+    start, _ = conic_distance(*origin, *direction, *shape.terms[:2])
+    assert abs(start - expected) > 0.1
     code = code_of(shape)
     formulas = needed_formulas(bytes([code]), len(shape.terms))
-    compiled, status = newton(*position[0], *AHEAD[0], start, formulas, code, shape.terms)
+    compiled, status = newton(*origin, *direction, start, formulas, code, shape.terms)
     assert status == Status.OK
-    assert compiled == pytest.approx(distance[0], abs=1e-12)
+    assert compiled == pytest.approx(expected, abs=uncertainty)
 
 
 @given(
