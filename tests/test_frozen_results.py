@@ -202,7 +202,7 @@ CHAIN = {
     "correlation": 0.963522611818,
     "misfit": 0.145826881779,
     "found decenter": 0.00100347811496,
-    "standard deviation": 7.20238265335e-06,
+    "standard deviation": 7.186437035249e-06,
 }
 
 
