@@ -58,6 +58,7 @@ SCRIPTS = (
     "merits_and_chain",
     "goals_and_chain",
     "whole_chain",
+    "long_commands",
     "tilt_and_slices",
     "study_speed",
     "study_faults",

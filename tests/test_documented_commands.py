@@ -27,6 +27,8 @@ from quick_verdicts import judge_quickly
 from small_pictures import draw_few_dots
 from typer.main import get_command
 
+from benchmarks.long_commands import COMMANDS
+
 ALL = os.environ.get("DOCUMENTED_COMMANDS") == "all"
 """Whether commands that take long run, too, as `make commands` asks."""
 
@@ -265,6 +267,11 @@ def test_the_arguments_of_all_commands_are_valid() -> None:
         assert_there_is(shlex.split(command))
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_whose_time_is_measured_exist(name: str) -> None:
+    assert_there_is(shlex.split(COMMANDS[name].text))
+
+
 ROWS = re.findall(
     r"^\| (?!-|what)([^|]+) \|[^|]+\| ([^|]+) \|$",
     (ROOT / "docs/measured.md").read_text(encoding="utf-8"),
@@ -297,7 +304,8 @@ def test_everything_measured_has_a_command(figure: str) -> None:
 def assert_there_is(words: list[str]) -> None:
     """That a command exists, and takes its options; nothing is run."""
     if words[:2] == ["python", "-m"]:
-        assert (ROOT / f"{words[2].replace('.', '/')}.py").is_file()
+        module = ROOT / words[2].replace(".", "/")
+        assert module.with_suffix(".py").is_file() or (module / "__main__.py").is_file()
     elif words[0] == "make":
         assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     else:
