@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
+import matplotlib.style
 import pytest
 from matplotlib.colors import to_hex
 
@@ -24,9 +25,14 @@ if TYPE_CHECKING:
 PAPER = load_design(Path("designs/paper_singlet.toml"))
 
 
+@pytest.fixture(autouse=True)
+def chosen_backend() -> None:
+    """Matplotlib chooses a backend at the first look, which would be a change of the style."""
+    mpl.use("agg")
+
+
 @pytest.mark.parametrize("draw", [spread_figure, layout_figure, spot_figure])
 def test_pictures_have_the_style_and_leave_that_of_others_alone(draw: Callable[[Lens], Figure]) -> None:
-    mpl.use("agg")
     before = mpl.rcParams.copy()
     figure = draw(PAPER)
     assert mpl.rcParams == before
