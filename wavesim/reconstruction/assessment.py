@@ -182,8 +182,8 @@ def judge_result(
             noise_correlation = _noise_correlation(case, settings, engine, found, residuals)
         if first.within and case.modes[1:]:
             untested.append(f"{OTHER_BENCHES}, since the light has several modes")
-        elif first.within and case.bytes_of_bench_test:
-            untested.append(f"{OTHER_BENCHES}, which needs --memory-gb {1e-9 * case.bytes_of_bench_test:.3g}")
+        elif first.within and case.bench_test_gb:
+            untested.append(f"{OTHER_BENCHES}, which needs --memory-gb {case.bench_test_gb:g}")
         elif first.within and found.whole is not None:
             progress("score test of the bench")
             test = _score_test(case, settings, engine, found, progress)

@@ -125,8 +125,9 @@ class ReconstructionProblem(NamedTuple):
         Storage of large arrays.
     memory : Memory
         Estimate of the memory.
-    bytes_of_bench_test : int
-        Memory with which other benches would be tested, where this is left out for want of it; else 0.
+    bench_test_gb : float
+        Limit of memory in GB with which other benches would be tested, where this is left out for want of it;
+        else 0.
     predicted_error : float
         Upper bound of the engine's relative error.
     engine_of_error : callable
@@ -161,7 +162,7 @@ class ReconstructionProblem(NamedTuple):
     engine_on: Callable[[Grid], Engine]
     scratch: Scratch
     memory: Memory
-    bytes_of_bench_test: int
+    bench_test_gb: float
     predicted_error: float
     engine_of_error: Callable[[float], tuple[Engine, float]]
     calibrated: bool
@@ -251,9 +252,12 @@ def reconstruction_problem(
         )
         return Memory(need, limit)
 
-    memory, missing_bytes = memory_of(settings.verdict == "full"), 0
-    if settings.verdict == "full" and not memory.is_sufficient and memory_of(False).is_sufficient:
-        missing_bytes, memory = memory.need.least_bytes, memory_of(False)
+    memory, memory_with_test = memory_of(False), memory_of(settings.verdict == "full")
+    bench_test_gb = 0.0
+    if memory_with_test.is_sufficient or not memory.is_sufficient:
+        memory = memory_with_test
+    else:
+        bench_test_gb = memory_with_test.sufficient_gb
     scratch = scratch_in(folder, _scratch_limit(memory, settings))
     key = _key(lens, framed.frames, settings, light, recorded, engine, known)
     sought = frozenset[str]()
@@ -290,12 +294,12 @@ def reconstruction_problem(
         ),
         scratch=scratch,
         memory=memory,
-        bytes_of_bench_test=missing_bytes,
+        bench_test_gb=bench_test_gb,
         predicted_error=predicted_error,
         engine_of_error=engine_of_error,
         calibrated=state is not None,
         sought=sought,
-        key=_key_of_result(key, settings, state, sought),
+        key=_key_of_result(key, settings, state, sought, bench_test_gb),
         rounding=max(rounding_fraction(frame) for frame in framed.frames),
         light_behind=lambda other: _light_behind(other, settings, state),
     )
@@ -468,13 +472,25 @@ def _key(
 
 
 def _key_of_result(
-    key: str, settings: ReconstructionSettings, state: SystemState | None, sought: frozenset[str]
+    key: str,
+    settings: ReconstructionSettings,
+    state: SystemState | None,
+    sought: frozenset[str],
+    bench_test_gb: float,
 ) -> str:
-    """Return the digest of all inputs of a result: those of its iterations, and those that follow them."""
+    """Return the digest of all inputs of a result: those of its iterations, and those that follow them.
+
+    A result without the test of other benches, which needs `bench_test_gb`, is no result with it.
+    """
     names = {"starts", "region_mm", "refocus_mm", "engine", "error", "verdict"}
     bench = "" if state is None else json.dumps(state_table(state), sort_keys=True)
     return key_of(
-        key, settings.model_dump_json(include=names), bench, str(sorted(sought)), version("transferlens")
+        key,
+        settings.model_dump_json(include=names),
+        bench,
+        str(sorted(sought)),
+        str(bench_test_gb > 0.0),
+        version("transferlens"),
     )
 
 

@@ -87,6 +87,11 @@ class Memory:
         """True if the run fits in its limit, at least with all movable arrays in files."""
         return self.need.least_bytes <= self.limit_bytes
 
+    @property
+    def sufficient_gb(self) -> float:
+        """Smallest limit in GB, rounded up, in which the run fits."""
+        return math.ceil(1e-8 * self.need.least_bytes) / 10.0
+
     def room_for_arrays(self, what: str) -> float:
         """Return the bytes of movable arrays that may stay in memory; `what` names the run in messages.
 
@@ -99,7 +104,7 @@ class Memory:
         if not self.is_sufficient:
             raise MemoryLimitError(
                 f"{what} needs at least {1e-9 * least:.3g} GB of memory (allowed: {1e-9 * limit:.3g} GB); "
-                f"use --memory-gb {math.ceil(1e-8 * least) / 10.0:g} or more, a smaller --patch-mm, or "
+                f"use --memory-gb {self.sufficient_gb:g} or more, a smaller --patch-mm, or "
                 "coarser samples (--object-pitch-um)"
             )
         return math.inf if self.need.most_bytes <= limit else limit - least

@@ -258,6 +258,8 @@ def test_other_benches_are_not_tested_where_that_alone_does_not_fit_into_memory(
     assert usual.verdict.explained
     assert usual.verdict.untested == ()
 
+    key_with_test = reconstruction_problem(lens, frames, settings, None, None, None).key
+
     def needs(*_: Any, tests_bench: bool, **__: Any) -> MemoryNeed:
         return in_memory(10**15 if tests_bench else 10)
 
@@ -267,3 +269,4 @@ def test_other_benches_are_not_tested_where_that_alone_does_not_fit_into_memory(
     assert found.verdict.explained
     assert found.verdict.untested == ("other benches, which needs --memory-gb 1e+06",)
     assert reconstruct_frames(lens, frames, settings.replaced(verdict="quick")).verdict.explained
+    assert reconstruction_problem(lens, frames, settings, None, None, None).key != key_with_test
