@@ -7,10 +7,12 @@ modules compare with closed forms and data of others. A commit that changes a va
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from benchmarks.layers import bench, field_behind, recorded_frames, true_layer
 from lensdesign import (
     Lens,
     Pose,
@@ -25,7 +27,17 @@ from lensdesign import (
     trace,
 )
 from tolerancing import load_study, open_store, run_study, summarize
-from wavesim import calibrate_frames, engine_for, image, reconstruct_frames
+from wavesim import (
+    Frame,
+    FrameSettings,
+    calibrate_frames,
+    engine_for,
+    image,
+    reconstruct_colours,
+    reconstruct_frames,
+    reconstruct_layers,
+)
+from wavesim.calibration.free_space import DEFAULT_FRAME_SETTINGS, reconstruct_free_space
 from wavesim.fields.field import Field
 from wavesim.scene.patches import patch_scene
 
@@ -206,6 +218,42 @@ CHAIN = {
 }
 
 
+COLOURS = {
+    "counts": 802058,
+    "misfit": 0.0770409010876,
+    "held out": 1.24335008483,
+    "correlation 1": 0.972055454677,
+    "correlation 2": 0.98181497357,
+    "misfit of a film": 0.0643725643397,
+    "deviation of heights": 0.013579932559,
+}
+
+LAYERS = {
+    "counts": 704557,
+    "misfit": 0.0720878733858,
+    "scale": 2.05236908576,
+    "correlation 1": 0.584971218015,
+    "correlation 2": 0.730039848468,
+}
+
+SOURCE = {
+    "counts": 1300271,
+    "misfit": 0.0714564788345,
+    "correlation": 0.995032057275,
+}
+
+FREE_SPACE = {
+    "distance scale": 1.02445047313,
+    "misfit": 0.0120959045967,
+    "amplitude": 59.8420257568,
+}
+
+KNOWN_OBJECT = {
+    "decenter_x_mm": 0.000998096729576,
+    "working_distance_mm": -3.85016090396e-05,
+}
+
+
 @pytest.fixture(scope="module")
 def twin() -> Lens:
     """A small twin of the paper's lens."""
@@ -283,6 +331,105 @@ def chain(lens: Lens) -> dict[str, float]:
     }
 
 
+def colours(lens: Lens) -> dict[str, float]:
+    """An object at two wavelengths, from frames behind a filter mosaic, and a film's height from others."""
+    patch: dict[str, Any] = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    light: dict[str, Any] = {"wavelengths_um": (0.532, 0.635), "planes_mm": (0.03, 0.15, 0.3)}
+    made = image(lens, "star", exposures=(1.0, 30.0), colour_filters="bayer", **light, **patch)
+    found = reconstruct_colours(
+        lens, made.frames, kind="amplitude", truth=made.coloured, iterations=25, **patch
+    )
+    in_turn = image(lens, "star", exposures=(1.0, 30.0), **light, **patch)
+    film = reconstruct_colours(
+        lens, in_turn.frames, kind="thickness", film_index=1.5, iterations=10, repeats=2, **patch
+    )
+    assert film.heights is not None
+    return {
+        "counts": float(made.frames[0].counts.sum()),
+        "misfit": found.misfit[-1],
+        "held out": found.held_out_over_noise,
+        "correlation 1": found.truth[0]["object_correlation"] or 0.0,
+        "correlation 2": found.truth[1]["object_correlation"] or 0.0,
+        "misfit of a film": film.misfit[-1],
+        "deviation of heights": float(np.median(film.heights.deviation_um[film.patch.inside])),
+    }
+
+
+def layers() -> dict[str, float]:
+    """Two layers, from frames that an independent model has made."""
+    lens, patch = bench(0.016)
+    true = [true_layer(patch, "amplitude", "sparse", seed) for seed in (1, 2)]
+    behind = field_behind(patch, (-20.0, 0.0), true)
+    frames = recorded_frames(lens, patch, behind, [0.2, 0.3], 0)
+    settings: dict[str, Any] = {"kind": "amplitude", "patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    truth = [behind.with_values(one * patch.inside) for one in true]
+    found = reconstruct_layers(
+        lens, frames, (-20.0, 0.0), truth=truth, field_stop_mm=0.016, iterations=15, **settings
+    )
+    return {
+        "counts": float(frames[0].counts.sum()),
+        "misfit": found.curve[-1],
+        "scale": found.scale,
+        "correlation 1": found.truth[0]["object_correlation"] or 0.0,
+        "correlation 2": found.truth[1]["object_correlation"] or 0.0,
+    }
+
+
+def source(lens: Lens) -> dict[str, float]:
+    """An object in the light of a wide source with a bandwidth."""
+    patch: dict[str, Any] = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    made = image(lens, "tissue", exposures=(1.0, 30.0), source_deg=0.3, **patch)
+    found = reconstruct_frames(
+        lens,
+        made.frames,
+        truth=made.target.transmission,
+        kind="complex",
+        iterations=10,
+        verdict="none",
+        source_deg=0.3,
+        bandwidth_nm=1.0,
+        **patch,
+    )
+    return {
+        "counts": float(made.frames[0].counts.sum()),
+        "misfit": found.curve[-1],
+        "correlation": found.truth["object_correlation"] or 0.0,
+    }
+
+
+def free_space() -> dict[str, float]:
+    """A field behind a stack of frames, with the stage's scale and drift."""
+    cycles = np.fft.fftfreq(96, 0.4)
+    random, squared = np.random.default_rng(3), cycles[:, None] ** 2 + cycles**2
+    soft = np.fft.ifft2(np.fft.fft2(random.standard_normal((96, 96))) * np.exp(-squared / 0.06)).real
+    spectrum = np.fft.fft2(np.exp(0.5j * soft / soft.std()))
+    frames = list[Frame]()
+    for z_um in (10.0, 25.0, 45.0):
+        carried = np.fft.ifft2(spectrum * np.exp(2j * np.pi * 1.02 * z_um * np.sqrt(4.0 - squared)))
+        counts = random.poisson(4000.0 * np.abs(carried) ** 2).astype(np.uint16)
+        stated = FrameSettings(
+            pixel_pitch_um=0.4, wavelength_um=0.5, plane_distance_mm=1e-3 * z_um, **DEFAULT_FRAME_SETTINGS
+        )
+        frames.append(Frame(counts, stated))
+    found = reconstruct_free_space(frames, calibrates=True, iterations=20)
+    return {
+        "distance scale": found.distance_scale,
+        "misfit": found.misfit[-1],
+        "amplitude": float(found.amplitude(0.035).mean()),
+    }
+
+
+def known_object(lens: Lens) -> dict[str, float]:
+    """The mounting that frames of a known object determine."""
+    settings: dict[str, Any] = {"patch_mm": 0.03, "error": 0.1}
+    made = image(lens, "star", exposures=(1.0, 30.0), engine="eikonal", decenter_x_mm=1e-3, **settings)
+    names = "decenter_x_mm,working_distance_mm"
+    found = calibrate_frames(
+        lens, made.frames, known=made.target.transmission, parameters=names, most_mountings=8, **settings
+    )
+    return dict(zip(found.parameters, found.values, strict=True))
+
+
 def tolerances(store: Path) -> dict[str, float]:
     """Means and deviations of the merits of a short study, and its yield."""
     run_study(load_study("designs/paper_tolerances.toml"), store, trials=24, workers=1)
@@ -321,3 +468,27 @@ def test_study(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore:little diversity")
 def test_chain(twin: Lens) -> None:
     assert chain(twin) == pytest.approx(CHAIN, rel=ITERATED_DIGITS)
+
+
+@pytest.mark.filterwarnings("ignore:little diversity")
+def test_colours(paper_lens: Lens) -> None:
+    assert colours(scaled(paper_lens, 1 / 64)) == pytest.approx(COLOURS, rel=ITERATED_DIGITS)
+
+
+def test_layers() -> None:
+    assert layers() == pytest.approx(LAYERS, rel=ITERATED_DIGITS)
+
+
+@pytest.mark.filterwarnings("ignore:little diversity")
+def test_source(twin: Lens) -> None:
+    assert source(twin) == pytest.approx(SOURCE, rel=ITERATED_DIGITS)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_free_space() -> None:
+    assert free_space() == pytest.approx(FREE_SPACE, rel=ITERATED_DIGITS)
+
+
+@pytest.mark.filterwarnings("ignore:little diversity")
+def test_known_object(twin: Lens) -> None:
+    assert known_object(twin) == pytest.approx(KNOWN_OBJECT, rel=ITERATED_DIGITS)
