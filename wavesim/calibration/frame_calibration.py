@@ -20,7 +20,7 @@ from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.mounting_parameters import RIGID, STOP_SHIFTS, parameter_names, validate_parameters
 from wavesim.calibration.parameters import LIGHT_ORDER, LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import LinearModel
 from wavesim.metrics.goodness_of_fit import Finding, PlaneResidual, verdict, with_finding
 from wavesim.metrics.next_steps import STOP_CAUSE
@@ -640,9 +640,9 @@ def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated
     engine = problem.make(placed_scene(problem.scene, state))
     light, planes = placed_light(problem.framed.light, state), placed_planes(problem.recorded, state)
     modes = modes_on(light, state.source)
-    model = ForwardModel(engine, light, planes, settings.scale, settings.fill_factor, modes=modes)
+    model = ChannelModel.of_source(engine, light, planes, settings.scale, settings.fill_factor, modes=modes)
     if settings.scale is None:
-        model.scale = LinearModel(model, np.asarray(known.values), True).scale
+        model = model.with_scale(LinearModel(model, np.asarray(known.values), True).scale)
     nothing = np.zeros(0, np.intp)
     residuals = [
         PlaneResidual(distance_mm, plane.amplitude, sigma, modelled - plane.amplitude, nothing, np.zeros(0))

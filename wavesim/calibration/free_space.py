@@ -1,7 +1,7 @@
 """From frames without a lens to the field on z = 0: in-line holograms, lensless cameras, focus stacks.
 
 The frames' amplitudes lie on samples as coarse as their bandwidth allows, with a margin around them. The
-field takes accelerated steps of :class:`wavesim.forward.forward_model.ForwardModel` within its band.
+field takes accelerated steps of :class:`wavesim.forward.channel_model.ChannelModel` within its band.
 From time to time, positions and gains of the planes take a Gauss-Newton step. The derivative of the amplitude
 `|v|` on a plane with respect to its position or distance is `Re(conj(v) dv) / |v|`.
 """
@@ -24,7 +24,7 @@ from lensdesign.errors import InputError
 from wavesim.engines.no_lens import FreeSpace
 from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field, Grid
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
@@ -150,14 +150,14 @@ class Stack:
         """Return the stack with all distances multiplied by a factor."""
         return self.at(factor * self.distances_mm, self.shifts_mm, self.gains)
 
-    def forward_model(self) -> ForwardModel:
+    def forward_model(self) -> ChannelModel:
         """Return the forward model from the field on z = 0 to the amplitudes on the planes."""
         recorded = [
             replace(plane, amplitude=plane.amplitude * np.float32(gain))
             for plane, gain in zip(self.recorded, self.gains, strict=True)
         ]
         light = Field(self.grid, np.ones(self.grid.shape, np.complex64), self.wavelength_um)
-        return ForwardModel(FreeSpace(self.grid), light, recorded, 1.0)
+        return ChannelModel.of_source(FreeSpace(self.grid), light, recorded, 1.0)
 
     def propagator_to(self, distance_mm: float, shift_mm: tuple[float, float]) -> TransferFunction:
         """Return the transfer function from z = 0 to a plane."""

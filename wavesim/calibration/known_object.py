@@ -33,7 +33,7 @@ from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.trust_region import GaussNewton, Minimum
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
@@ -181,8 +181,8 @@ class _MountingProblem:
             fits_scale=self.scale is None,
         )
 
-    def _model(self, mounting: SystemState) -> ForwardModel:
-        return ForwardModel(
+    def _model(self, mounting: SystemState) -> ChannelModel:
+        return ChannelModel.of_source(
             self.make(placed_scene(self.scene, mounting)),
             placed_light(self.illumination, mounting),
             placed_planes(self.recorded, mounting),

@@ -15,7 +15,7 @@ from wavesim.calibration.motion import gradient, motion
 from wavesim.calibration.mounting_parameters import WORKING_DISTANCE, plane_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import PlaneWaves
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.scene.system_state import SystemState
 
@@ -45,7 +45,7 @@ class Response:
 
 
 def mounting_response(
-    model: ForwardModel,
+    model: ChannelModel,
     transmission: ComplexArray,
     mounting: SystemState,
     parameters: Sequence[str],
@@ -115,7 +115,7 @@ def _response(recorded: RealArray, modelled: RealArray, changes: RealArray, scal
 
 
 def _exit_field_change(
-    model: ForwardModel, lit: Field, exit_field: Field, mounting: SystemState, name: str
+    model: ChannelModel, lit: Field, exit_field: Field, mounting: SystemState, name: str
 ) -> ComplexArray:
     """Return the change of the field on the exit grid per unit of a parameter of lens or object."""
     if name == WORKING_DISTANCE:
@@ -132,14 +132,18 @@ class _PlaneAmplitudes:
 
     def __init__(
         self,
-        model: ForwardModel,
+        model: ChannelModel,
         plane_index: int,
         spectrum: ComplexArray,
         known: NDArray[np.bool_] | None,
         blur_pixels: float,
     ) -> None:
         self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
-        self.propagator, self.known, self.blur_pixels = model.propagators[plane_index], known, blur_pixels
+        self.propagator, self.known, self.blur_pixels = (
+            model.planes[plane_index].propagator,
+            known,
+            blur_pixels,
+        )
         self.rows = self.pixels.propagate(spectrum, self.propagator)
         self.amplitude = self.amplitude_of(self.pixels.intensity(self.rows))
 

@@ -20,7 +20,7 @@ from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.fields.propagator import PlanePropagator
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.pixel_kernel import (
     add_halves,
     halves,
@@ -34,11 +34,10 @@ from wavesim.forward.pixel_means import (
     half_sample,
     tilt_changes,
 )
-from wavesim.forward.source_modes import ModesMeasurement, ModesOperator
+from wavesim.forward.stacked_channels import ChannelsMeasurement, ChannelsOperator
 from wavesim.runtime.threads import for_blocks, rows_in
 from wavesim.scene.engine import Operator
 from wavesim.scene.light_errors import Orders, light_mode
-from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import amplitude_bias
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -173,17 +172,19 @@ class FreeSpaceMeasurement:
         Forward model of the bench.
     values
         Field on the exit grid.
-    mode
-        Mode of the source to which the field belongs; default: light of the middle of the source.
+    channel
+        Index of the channel to which the field belongs.
     """
 
-    def __init__(self, model: ForwardModel, values: ComplexArray, mode: SourceMode | None = None) -> None:
-        self.model = model
-        self._wavelength_um = model.illumination.wavelength_um if mode is None else mode.wavelength_um
-        propagators = model.propagators if mode is None else model.propagators_of(mode)
+    def __init__(self, model: ChannelModel, values: ComplexArray, channel: int = 0) -> None:
+        self._wavelength_um = model.channels[channel].wavelength_um
         self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
         self.spectrum: ComplexArray = scipy.fft.fft2(values, workers=-1)
-        self.planes = [CachedSamples(self.pixels, self.spectrum, propagator) for propagator in propagators]
+        self.planes = [
+            CachedSamples(self.pixels, self.spectrum, propagator)
+            for propagator in model.propagators[channel]
+            if propagator is not None
+        ]
 
     def intensities(self) -> list[RealArray]:
         return [plane.intensity() for plane in self.planes]
@@ -237,7 +238,7 @@ class PixelMeasurement:
         Field on the pixels.
     """
 
-    def __init__(self, model: ForwardModel, values: ComplexArray) -> None:
+    def __init__(self, model: ChannelModel, values: ComplexArray) -> None:
         self.rows, self.values = model.rows, values
 
     def intensities(self) -> list[RealArray]:
@@ -268,7 +269,7 @@ class LinearModel:
     Attributes
     ----------
     engine : Operator
-        Operator from the light behind the object to the exit grid, or to one for each mode of the source.
+        Operator from the light behind the object to the exit grid, or to one for each channel.
     measurement : MeasurementOperator
         Pixels of all planes.
     residual : ndarray, shape (planes, ny, nx)
@@ -281,9 +282,9 @@ class LinearModel:
         Weighted length of the measured amplitudes, by which residuals are divided.
     """
 
-    def __init__(self, model: ForwardModel, transmission: ComplexArray, fits_scale: bool) -> None:
+    def __init__(self, model: ChannelModel, transmission: ComplexArray, fits_scale: bool) -> None:
         self.model, self.lit = model, self._object_field(model, transmission)
-        self.engine: Operator = ModesOperator(model) if model.modes else model.engine
+        self.engine: Operator = model.engine if len(model.channels) == 1 else ChannelsOperator(model)
         exit_field = self.engine.forward(self.lit)
         self._index = exit_field.index
         self.measurement = _measurement(model, exit_field.values)
@@ -450,7 +451,7 @@ class LinearModel:
         return np.asarray(cells * on_object.values * self.model.illumination.values.conj())
 
     @staticmethod
-    def _object_field(model: ForwardModel, transmission: NDArray[Any]) -> Field:
+    def _object_field(model: ChannelModel, transmission: NDArray[Any]) -> Field:
         values = transmission * model.illumination.values
         return model.illumination.with_values(values.astype(model.illumination.values.dtype))
 
@@ -477,17 +478,13 @@ class LinearModel:
         return cross / power if cross > 0.0 < power else 1.0
 
 
-def _measurement(model: ForwardModel, values: ComplexArray) -> MeasurementOperator:
-    """Return the pixels of all planes for a field on the exit grid, or for the stacked fields of modes."""
+def _measurement(model: ChannelModel, values: ComplexArray) -> MeasurementOperator:
+    """Return the pixels of all planes for a field on the exit grid, or for the stacked fields of channels."""
     if model.rows:
         return PixelMeasurement(model, values)
-    if not model.modes:
-        return FreeSpaceMeasurement(model, values)
-    parts = np.split(values, len(model.modes))
-    measurements = [
-        FreeSpaceMeasurement(model, part, mode) for part, mode in zip(parts, model.modes, strict=True)
-    ]
-    return ModesMeasurement(model, measurements)
+    parts = np.split(values, len(model.channels))
+    measurements = [FreeSpaceMeasurement(model, part, index) for index, part in enumerate(parts)]
+    return measurements[0] if len(measurements) == 1 else ChannelsMeasurement(model, measurements)
 
 
 def _sum(values: RealArray) -> float:

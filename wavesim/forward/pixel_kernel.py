@@ -1,4 +1,4 @@
-"""Compiled loops of :mod:`wavesim.forward.forward_model` and
+"""Compiled loops of :mod:`wavesim.forward.channel_model` and
 :mod:`wavesim.forward.pixel_means`.
 
 Each loop processes some rows or columns on one thread. All borders are periodic, as those of spectra are.

@@ -83,7 +83,7 @@ def with_own_limit(
         Illumination of the object.
     noise_of_step
         Standard deviation that noise causes in a step at scale 1
-        (:meth:`wavesim.forward.forward_model.ForwardModel.noise_of_step`).
+        (:func:`wavesim.forward.step_noise.noise_of_step`).
 
     Returns
     -------

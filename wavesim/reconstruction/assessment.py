@@ -15,6 +15,7 @@ import numpy as np
 from lensdesign.common.text import finite_or_none
 from lensdesign.errors import TransferLensError
 from wavesim.fields.field import Field, Grid
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.metrics.goodness_of_fit import (
     FEW,
     LIMIT,
@@ -247,7 +248,7 @@ def _noise_correlation(
     )
     shrinkage = TV_PER_NOISE * tv_factor(settings.kind, engine, case.given)
     if settings.tv_weight != "auto":
-        shrinkage = settings.tv_weight * found.of_method["scale"] / jacobian.linear.model.noise_of_step()
+        shrinkage = settings.tv_weight * found.of_method["scale"] / noise_of_step(jacobian.linear.model)
     return min(shown, information_of(jacobian, shrinkage=shrinkage).least_correlation)
 
 

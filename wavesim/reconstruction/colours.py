@@ -1,7 +1,7 @@
 """Reconstruction from frames of several wavelengths: the object at each of them, or a film that all share.
 
 Frames may be recorded one wavelength after the other, at once on a monochrome sensor, or at once through a
-colour filter array. All wavelengths are found together (:mod:`wavesim.forward.colour_model`), by the solver
+colour filter array. All wavelengths are found together (:mod:`wavesim.forward.channel_model`), by the solver
 of one wavelength (:mod:`wavesim.reconstruction.object_solver`). The mosaic of a filter array is used as it
 is.
 
@@ -33,7 +33,8 @@ from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Field
-from wavesim.forward.colour_model import ColourModel, Response
+from wavesim.forward.channel_model import Channel, ChannelModel, Response
+from wavesim.forward.step_noise import noise_of_steps
 from wavesim.metrics.goodness_of_fit import LIMIT, PlaneFit, plane_verdicts
 from wavesim.metrics.plane_residuals import PlaneResidual
 from wavesim.metrics.result_quality import plane_metrics, truth_metrics
@@ -405,6 +406,14 @@ class _Problem(NamedTuple):
     responses: tuple[tuple[Response, ...], ...]
     held_out: tuple[HeldOut, ...]
 
+    def model(self, recorded: Sequence[Measurement], scale: float | None, fill_factor: float) -> ChannelModel:
+        """Return the model of measured amplitudes of the planes, with a transmission for each wavelength."""
+        channels = [
+            Channel(engine, light, [plane[index] for plane in self.responses], index)
+            for index, (engine, light) in enumerate(zip(self.engines, self.lights, strict=True))
+        ]
+        return ChannelModel.of(channels, recorded, scale, fill_factor)
+
 
 def _problem(lens: Lens, frames: Sequence[Frame], settings: ColourSettings) -> _Problem:
     """Return the problem that frames and settings state, after checks of the frames."""
@@ -623,8 +632,8 @@ class _Search:
         """
         case, settings = self.case, self.settings
         known = settings.scale or scale
-        model = ColourModel(case.engines, case.lights, recorded, case.responses, known, settings.fill_factor)
-        noises = model.noise_of_step(np.ones(model.lit.shape, model.real))
+        model = case.model(recorded, known, settings.fill_factor)
+        noises = noise_of_steps(model)
         is_automatic = settings.tv_weight == "auto"
         mean = float(noises.mean())
         relative = noises / mean if is_automatic else np.ones(len(noises))

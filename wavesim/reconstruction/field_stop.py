@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.engine import Engine
@@ -160,7 +160,7 @@ class StopSearch:
         for _ in range(2):
             light = self.light_of(self._within_patch(np.array([0.0, 0.0, probe_mm])))
             grains = np.exp(1j * gaussian_filter(random.standard_normal(light.grid.shape), 1.5) * 8.0)
-            model = ForwardModel(self.engine, light, self.recorded, None, self.fill_factor)
+            model = ChannelModel.of_source(self.engine, light, self.recorded, None, self.fill_factor)
             plane = self.recorded[plane_index]
             modelled = model.amplitudes(grains.astype(light.values.dtype))[plane_index].astype(float)
             modelled *= math.sqrt(float((plane.amplitude.astype(float) ** 2).sum() / (modelled**2).sum()))
@@ -215,7 +215,7 @@ class StopSearch:
         axes = scene.exit_grid.y_mm, scene.exit_grid.x_mm
 
         def centroids(light: Field) -> Array:
-            model = ForwardModel(self.engine, light, self.recorded, None, self.fill_factor)
+            model = ChannelModel.of_source(self.engine, light, self.recorded, None, self.fill_factor)
             modelled = model.amplitudes(model.lit.astype(light.values.dtype))
             return np.array([_centroid(one, axes) for one in modelled])
 

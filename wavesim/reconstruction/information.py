@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 from lensdesign.analysis.oversampling import ObjectKind, real_unknowns
 from lensdesign.errors import validate_choice
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import LinearModel
 from wavesim.scene.engine import Engine
 from wavesim.sensor.measurement import Measurement
@@ -128,9 +128,9 @@ class WhitenedJacobian:
         validate_choice("kind", kind, ("amplitude", "phase", "complex"))
         self.kind, self.inside, self.scene = kind, inside, engine.scene
         values = np.where(inside, transmission.values, 0.0).astype(illumination.values.dtype)
-        model = ForwardModel(engine, illumination, recorded, None, fill_factor)
-        model.scale = LinearModel(model, values, fits_scale=True).scale
-        self.linear = LinearModel(model, values, fits_scale=False)
+        model = ChannelModel.of_source(engine, illumination, recorded, None, fill_factor)
+        fitted = LinearModel(model, values, fits_scale=True)
+        self.linear = LinearModel(model.with_scale(fitted.scale), values, fits_scale=False)
         weights = [
             np.ones(p.amplitude.shape) if w is None else w
             for p, w in zip(recorded, model.weights, strict=True)

@@ -41,7 +41,8 @@ from numpy.typing import NDArray
 from lensdesign.analysis.oversampling import ObjectKind
 from lensdesign.common.memory import check_memory
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.reconstruction.object_solver import validate_measurements, validate_numbers
 from wavesim.reconstruction.stop_rule import AT_NOISE, Stop
 from wavesim.scene.engine import Engine
@@ -195,7 +196,7 @@ def find_layers(
     first = [([near, far], int(FIRST_FRACTION * iterations))] if len(recorded) > 2 else []
     values, misfits = None, list[float]()
     for planes, last in (*first, (recorded, iterations)):
-        model = ForwardModel(engine, even, planes, scale and scale / unit, fill_factor)
+        model = ChannelModel.of_source(engine, even, planes, scale and scale / unit, fill_factor)
         objective = LayersObjective(model, stack, kind)
         values = objective.start() if values is None else values
         if scale is None:
@@ -206,8 +207,9 @@ def find_layers(
         values, reason = search.run(values, misfits)
     assert values is not None
     transmissions, factor = parameters.normalized(objective.transmissions(values), stack.lit)
+    model = objective.model
     if scale is None:
-        model.scale *= factor
+        model = model.with_scale(factor * model.scale)
     else:  # The light on the planes determines the product of all layers.
         transmissions = [factor ** (1.0 / len(transmissions)) * one for one in transmissions]
     maps = tuple(model.amplitudes(stack.forward(transmissions).behind))
@@ -238,7 +240,7 @@ class LayersObjective:
         Kind of the layers.
     """
 
-    def __init__(self, model: ForwardModel, stack: LayerStack, kind: ObjectKind) -> None:
+    def __init__(self, model: ChannelModel, stack: LayerStack, kind: ObjectKind) -> None:
         self.model, self.stack = model, stack
         self.parameters = _PARAMETERS[kind]
         self.inside = stack.lit
@@ -273,7 +275,7 @@ class LayersObjective:
         model = self.model
         step = model.step(self.stack.forward(self.transmissions(unknowns)).behind, fits_scale=True)
         # The least-squares scale explains the fraction 1 - misfit^2 of the energy.
-        model.scale = step.scale / math.sqrt(max(1.0 - step.misfit**2, 1e-6))
+        self.model = model.with_scale(step.scale / math.sqrt(max(1.0 - step.misfit**2, 1e-6)))
 
     def __call__(self, unknowns: RealArray) -> tuple[float, RealArray]:
         """Return the objective and its gradient. The misfit is stored in `misfit`."""
@@ -405,7 +407,7 @@ class _Search:
     def run(self, unknowns: RealArray, misfits: list[float]) -> tuple[RealArray, Stop]:
         """Return the unknowns and the reason to stop, and append the misfit of every iteration."""
         objective, begun = self.objective, len(misfits)
-        noise = objective.model.noise_of_step() if self.tv_weight == "auto" else 0.0
+        noise = noise_of_step(objective.model) if self.tv_weight == "auto" else 0.0
         objective(unknowns)
         lowest = -np.inf if objective.parameters.lowest is None else objective.parameters.lowest
         length = SHORT_ROUND

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from wavesim.forward.channel_model import KEPT_BYTES
 from wavesim.reconstruction.refocusing import MOST_JUDGED
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, FLOAT32, MemoryNeed, in_memory, movable
 from wavesim.runtime.threads import THREADS
@@ -72,8 +73,10 @@ def reconstruction_bytes(
     # plane of points needs the fewest of these.
     per_sample = 36 + 4 * planes if fill_factor > 0.0 or planes > 1 else 29
     on_planes = (per_sample + (24 if is_tilted else 0)) * at_exit
-    if len(modes) > 1:  # spectra and changes of all modes, and means over the pixels of all planes
+    if len(modes) > 1:  # spectra and changes of all modes, means over pixels, and fields on all planes
         held += (16 * len(modes) + 4 * planes) * at_exit
+        kept = 16 * len(modes) * planes * at_exit
+        held += kept if kept <= KEPT_BYTES else 0
         through_lens += 64 * on_object
     working = held + engines + max(through_lens, smoothing, on_planes)
     return _inputs(engine, recorded) + movable(2 * _step_bytes(on_object, kind)) + in_memory(working)

@@ -13,7 +13,8 @@ from functools import partial
 from typing import Literal
 
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.reconstruction.amplitude_limit import with_own_limit
 from wavesim.reconstruction.assessment import (
     LARGEST_MISFIT_RATIO,
@@ -143,10 +144,10 @@ class ObjectSearch:
             return found
         self.on_step("brightest parts of the object")
         case = self.case
-        model = ForwardModel(
+        model = ChannelModel.of_source(
             self.engine, case.light, case.given, 1.0, self.settings.fill_factor, modes=case.modes
         )
-        noise_of_step = model.noise_of_step()
+        noise = noise_of_step(model)
         del model
 
         def solve(
@@ -160,7 +161,7 @@ class ObjectSearch:
                 iterations_without_tv=iterations_without_tv if start is None else 0,
             )
 
-        return with_own_limit(solve, found, case.light, noise_of_step)
+        return with_own_limit(solve, found, case.light, noise)
 
     def _with_free_edges(self, found: Reconstructed) -> Reconstructed:
         """Return an object whose edges the total variation does not hold in wrong places."""

@@ -35,9 +35,9 @@ from numpy.typing import NDArray
 from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
-from wavesim.forward.colour_model import ColourModel
+from wavesim.forward.channel_model import ChannelModel, Step
 from wavesim.forward.exit_field import ROWS
-from wavesim.forward.forward_model import ForwardModel, Step
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop, stop_reason
 from wavesim.reconstruction.total_variation import prox_tv
@@ -152,7 +152,7 @@ class StepRule(NamedTuple):
     relaxation : float
         Factor of a step with inner iterations.
     planes_in_turn : bool
-        Whether inner iterations process the planes in turn (:meth:`ForwardModel.step`).
+        Whether inner iterations process the planes in turn (:meth:`ChannelModel.step`).
     """
 
     relaxation: float = 1.0
@@ -309,7 +309,7 @@ def reconstruct(
             illumination.values / illumination.values.real.dtype.type(light_unit)
         )
     recorded = in_unit(recorded, unit)
-    model = ForwardModel(
+    model = ChannelModel.of_source(
         engine,
         illumination,
         recorded,
@@ -319,7 +319,7 @@ def reconstruct(
         modes,
         rows,
     )
-    weight, noise = (0.0, tv_factor * model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
+    weight, noise = (0.0, tv_factor * noise_of_step(model)) if tv_weight == "auto" else (tv_weight, None)
     descent = ProximalDescent(
         model,
         weight,
@@ -362,7 +362,7 @@ def reconstruct(
 
 
 def _initial_state(
-    model: ForwardModel, start: Any, kind: Kind, scale: float | None, scratch: Scratch
+    model: ChannelModel, start: Any, kind: Kind, scale: float | None, scratch: Scratch
 ) -> SolverState:
     """Return the state before the first iteration."""
     is_field = isinstance(start, Field)
@@ -376,7 +376,7 @@ def _initial_state(
 class ProximalDescent:
     """Accelerated proximal gradient steps; `prox` maps a point and a weight of the total variation."""
 
-    model: ForwardModel | ColourModel
+    model: ChannelModel
     tv_weight: float
     noise_at_scale_1: float | None
     misfit_of_noise: float | None
@@ -464,7 +464,7 @@ class ProximalDescent:
             STEP,
             scale=state.scale,
             fits_scale=self.fits_scale_after(kind, len(state.misfit)),
-            **({"planes_in_turn": True} if rule.planes_in_turn else {}),
+            planes_in_turn=rule.planes_in_turn,
         )
         point = step.change
         point *= point.real.dtype.type(STEP * rule.relaxation)

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import LinearModel, RealArray
-from wavesim.forward.source_modes import ModesMeasurement
+from wavesim.forward.stacked_channels import ChannelsMeasurement
 from wavesim.reconstruction.object_response import eliminated_object, free_samples
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
@@ -172,7 +172,7 @@ def find_source(
         progress(_source_text(source, names))
         found = improved(transmission, ITERATIONS)
         transmission = found.transmission
-        model = ForwardModel(
+        model = ChannelModel.of_source(
             engine, light, recorded, found.scale, settings.fill_factor, modes=modes_on(light, source)
         )
         is_real = settings.kind == "amplitude"
@@ -272,7 +272,7 @@ def source_columns(linear: LinearModel, source: Source, names: Sequence[str]) ->
         Names of the widths (`WIDTHS`).
     """
     measurement, light = linear.measurement, linear.model.illumination
-    assert isinstance(measurement, ModesMeasurement)
+    assert isinstance(measurement, ChannelsMeasurement)
     changes = source.few_mode_changes(light.wavelength_um, samples=max(light.grid.shape))
     factors = dict(zip(WIDTHS, changes, strict=True))
     return [

@@ -20,7 +20,7 @@ from wavesim.calibration import calibrate_empty, calibrate_frames, frame_calibra
 from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.metrics.displacement import displacement_samples
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
@@ -156,7 +156,7 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     frames = image(lens, "star", state=bench, exposures=(1.0, 30.0), **small).frames
     taken: list[int] = []
 
-    def spied(self: SparsePixels, *given: Any) -> ForwardModel:
+    def spied(self: SparsePixels, *given: Any) -> ChannelModel:
         taken.append(self.recorded[0].amplitude.shape[0])
         return model(self, *given)
 

@@ -16,7 +16,7 @@ from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.mounting_parameters import values_of
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import SystemState
@@ -46,7 +46,7 @@ def bench() -> Bench:
     scene, light, bars, _ = bars_under_stop()
     known = Field(scene.object_grid, bars.astype(np.complex64), 0.532)
     blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
-    model = ForwardModel(tiles(placed_scene(scene, TRUE)), placed_light(light, TRUE), blank, 1.0)
+    model = ChannelModel.of_source(tiles(placed_scene(scene, TRUE)), placed_light(light, TRUE), blank, 1.0)
     seen = [
         Measurement(plane.distance_mm, amplitude.astype(np.float32))
         for plane, amplitude in zip(blank, model.amplitudes(known.values), strict=True)

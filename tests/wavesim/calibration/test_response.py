@@ -11,7 +11,7 @@ from wavesim.calibration.mounting_parameters import parameter_names, values_of, 
 from wavesim.calibration.response import mounting_response
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import Measurement, placed_planes
@@ -39,10 +39,10 @@ class Bench:
             Measurement(0.6, np.ones(exit_grid.shape)),
         ]
 
-    def model(self, mounting: SystemState, fill_factor: float = 0.0) -> ForwardModel:
+    def model(self, mounting: SystemState, fill_factor: float = 0.0) -> ChannelModel:
         engine = engine_for(placed_scene(self.scene, mounting), "eikonal", error=0.3)
         planes = placed_planes(self.recorded, mounting)
-        return ForwardModel(engine, placed_light(self.light, mounting), planes, 1.0, fill_factor)
+        return ChannelModel.of_source(engine, placed_light(self.light, mounting), planes, 1.0, fill_factor)
 
     def response(self, mounting: SystemState, fill_factor: float = 0.0, **settings: float) -> np.ndarray:
         model = self.model(mounting, fill_factor)
@@ -91,6 +91,6 @@ def test_unknown_pixels_do_not_count(bench: Bench) -> None:
         sigma[100:110, 100:110] = np.inf
         amplitude[100:110, 100:110] = 1e3
         spoilt.append(Measurement(plane.distance_mm, amplitude, sigma))
-    masked = ForwardModel(model.engine, model.illumination, placed_planes(spoilt, HERE), 1.0, 0.0)
+    masked = ChannelModel.of_source(model.engine, model.illumination, placed_planes(spoilt, HERE), 1.0, 0.0)
     after = mounting_response(masked, bench.transmission, HERE, NAMES[:1], blur_pixels=2.0)
     assert after.misfit == pytest.approx(before.misfit, rel=0.02)

@@ -14,7 +14,7 @@ from programs import Command
 from quick_verdicts import judge_quickly
 from wavesim_command import ENDED, PIXELS, PLANES_MM, frames_and_design
 
-from wavesim.forward import forward_model
+from wavesim.forward import channel_model
 from wavesim.reconstruction import assessment, frame_reconstruction, phase_retrieval, resumable
 from wavesim.reconstruction import object_solver as reconstruction
 from wavesim.sensor.frames import Frame, read_frame, write_frame
@@ -77,7 +77,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     code, _, err = wavesim("reconstruct", *options, "-o", tmp_path / "whole")
     assert code in ENDED, err
 
-    step = {"object": (forward_model.ForwardModel, "step"), "paper": (phase_retrieval, "iterate")}[method]
+    step = {"object": (channel_model.ChannelModel, "step"), "paper": (phase_retrieval, "iterate")}[method]
     call: Any = getattr(*step)
     taken: list[int] = []
 

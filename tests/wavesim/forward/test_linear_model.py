@@ -11,7 +11,7 @@ from small_twins import small_twin
 from wavesim.fields.field import Grid
 from wavesim.fields.propagator import propagator_to
 from wavesim.fields.tilted_planes import TiltedPropagator
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.scene.source import Source
@@ -26,7 +26,7 @@ def parts() -> tuple:
     rng = np.random.default_rng(1)
     truth, now = (0.7 + 0.2 * rng.standard_normal(lit.grid.shape) for _ in range(2))
     blank = [Measurement(d, np.ones(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
-    seen = ForwardModel(engine, lit, blank, 1.0, 1.0).amplitudes(truth.astype(complex))
+    seen = ChannelModel.of_source(engine, lit, blank, 1.0, 1.0).amplitudes(truth.astype(complex))
     planes = [
         replace(p, amplitude=2.0 * a, sigma=1.0 + rng.random(a.shape), background=np.full(a.shape, 0.01))
         for p, a in zip(blank, seen, strict=True)
@@ -45,7 +45,7 @@ def linear(
     engine, lit, planes, now = parts
     both = planes[0], replace(planes[1], **(changed or {}))
     planes = [replace(p, tilt_deg=tilt_deg, blur_mm=blur_mm) for p in both]
-    model = ForwardModel(engine, lit, planes, None, 1.0)
+    model = ChannelModel.of_source(engine, lit, planes, None, 1.0)
     return LinearModel(model, now if transmission is None else transmission, True)
 
 
@@ -113,7 +113,7 @@ def test_slopes_of_what_is_wrong_with_the_measured_light(parts: tuple, parameter
     engine, lit, planes, now = parts
     planes = [replace(p, fraction_per_intensity=np.full(p.amplitude.shape, 0.05)) for p in planes]
     # The slopes are those about measured amplitudes that the model explains.
-    modelled = ForwardModel(engine, lit, planes, 2.0, 1.0).amplitudes(now)
+    modelled = ChannelModel.of_source(engine, lit, planes, 2.0, 1.0).amplitudes(now)
     planes = [replace(p, amplitude=a) for p, a in zip(planes, modelled, strict=True)]
     state = (
         SystemState(plane_exposure_errors=(0.0, 1e-3))
@@ -125,7 +125,8 @@ def test_slopes_of_what_is_wrong_with_the_measured_light(parts: tuple, parameter
         for p, nominal in zip(placed_planes(planes, state), planes, strict=True)
     ]
     here, there = (
-        LinearModel(ForwardModel(engine, lit, each, 2.0, 1.0), now, False) for each in (planes, changed)
+        LinearModel(ChannelModel.of_source(engine, lit, each, 2.0, 1.0), now, False)
+        for each in (planes, changed)
     )
     # The residuals are relative to the measured light, which differs between the two.
     found = (here.residual - there.residual * (there.size / here.size)) / 1e-3
@@ -172,7 +173,10 @@ def test_residuals_without_bias_have_the_mean_0_where_few_electrons_fall() -> No
     engine, lit = small_twin()
     t = 0.7 + 0.2 * np.random.default_rng(7).standard_normal(lit.grid.shape)
     blank = [Measurement(0.3, np.ones(engine.scene.exit_grid.shape))]
-    intensity = ForwardModel(engine, lit, blank, 1.0, 1.0).amplitudes(t.astype(complex))[0].astype(float) ** 2
+    intensity = (
+        ChannelModel.of_source(engine, lit, blank, 1.0, 1.0).amplitudes(t.astype(complex))[0].astype(float)
+        ** 2
+    )
     electrons = intensity * 4.0 / np.median(intensity)
     random, draws = np.random.default_rng(8), 40
     plain, corrected = (np.zeros(intensity.shape) for _ in range(2))
@@ -180,7 +184,7 @@ def test_residuals_without_bias_have_the_mean_0_where_few_electrons_fall() -> No
         noisy = electrons + np.sqrt(electrons + 1.0) * random.standard_normal(electrons.shape)
         scale = np.median(intensity) / 4.0
         plane = recorded_intensity(0.3, noisy * scale, (np.maximum(noisy, 0.0) + 1.0) * scale**2)
-        linear = LinearModel(ForwardModel(engine, lit, [plane], 1.0, 1.0), t, False)
+        linear = LinearModel(ChannelModel.of_source(engine, lit, [plane], 1.0, 1.0), t, False)
         plain += linear.residual[0] / draws
         corrected += linear.unbiased_residual()[0] / draws
     assert abs(corrected.mean()) < 0.2 * abs(plain.mean())
@@ -193,7 +197,9 @@ def test_slopes_in_light_of_a_source(parts: tuple, source: Source) -> None:
     modes = source.few_modes(0.532, samples=lit.grid.shape[0])
 
     def at(transmission: np.ndarray) -> LinearModel:
-        return LinearModel(ForwardModel(engine, lit, planes, 2.0, 1.0, modes=modes), transmission, False)
+        return LinearModel(
+            ChannelModel.of_source(engine, lit, planes, 2.0, 1.0, modes=modes), transmission, False
+        )
 
     here, rng, step = at(now), np.random.default_rng(4), 1e-4
     modelled = here.model.amplitudes(now)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lensdesign import load_design, scaled
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.reconstruction.amplitude_limit import with_own_limit
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
@@ -33,7 +34,7 @@ class Bench:
         """Return planes with shot noise."""
         shape = self.engine.scene.exit_grid.shape
         blank = [Measurement(z, np.zeros(shape, np.float32)) for z in (0.0, 0.3)]
-        model = ForwardModel(self.engine, self.light, blank, SCALE)
+        model = ChannelModel.of_source(self.engine, self.light, blank, SCALE)
         random, planes = np.random.default_rng(3), []
         for plane, modelled in zip(blank, model.amplitudes(transmission.astype(np.complex64)), strict=True):
             electrons = random.poisson(modelled.astype(float) ** 2).astype(float)
@@ -58,7 +59,7 @@ class Bench:
             return solve(start=start, scale=scale, bounded=bounded, iterations=iterations or 80)
 
         first = solve()
-        noise = ForwardModel(self.engine, self.light, recorded, 1.0).noise_of_step()
+        noise = noise_of_step(ChannelModel.of_source(self.engine, self.light, recorded, 1.0))
         return first, with_own_limit(search, first, self.light, noise)
 
 

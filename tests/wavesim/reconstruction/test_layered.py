@@ -11,7 +11,7 @@ from lensdesign import load_design, scaled
 from lensdesign.analysis.oversampling import ObjectKind
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.reconstruction.layered import _PARAMETERS, LayersObjective, find_layers
 from wavesim.scene.engine import Engine
 from wavesim.scene.patches import patch_scene
@@ -56,7 +56,7 @@ def test_the_gradient_is_that_of_finite_differences(kind: ObjectKind) -> None:
     truth = [rng.uniform(0.3, 1.0, stack.grid.shape) for _ in range(2)]
     even = Field(stack.grid, np.ones(stack.grid.shape, complex), stack.light.wavelength_um)
     objective = LayersObjective(
-        ForwardModel(small_engine(), even, recorded_of(stack, truth), None), stack, kind
+        ChannelModel.of_source(small_engine(), even, recorded_of(stack, truth), None), stack, kind
     )
     objective.fit_scale(objective.start())
     objective.tv_weight = 0.01

@@ -16,7 +16,7 @@ import pytest
 
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
-from wavesim.forward import bands, exit_field, forward_model, pixel_means
+from wavesim.forward import bands, channel_model, exit_field, pixel_means
 from wavesim.metrics import transmitted_band
 from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction.memory import (
@@ -113,7 +113,7 @@ def test_the_estimate_is_about_what_is_taken(
 ) -> None:
     """In memory and in files."""
     for place, name, value in (
-        (forward_model, "ROWS", 2),
+        (channel_model, "ROWS", 2),
         (exit_field, "ROWS", 2),
         (pixel_means, "COLUMNS", 4),
         (bands, "BAND", 400),

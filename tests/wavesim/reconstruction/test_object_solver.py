@@ -16,8 +16,9 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import PlaneWaves
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.pixel_means import PixelMeans
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.reconstruction import object_solver
 from wavesim.reconstruction.object_solver import USUAL_STEPS, SolverState, reconstruct
 from wavesim.reconstruction.resumable import saved_state
@@ -77,7 +78,9 @@ def tiny_case() -> Case:
     transmission = np.where(np.sin(2.0 * np.pi * grid.x_mm / 4e-3) > 0.0, 1.0, 0.4) * np.ones(grid.shape)
     light = Field(grid, (np.sqrt(grid.radius_squared_mm2()) < 0.009).astype(np.complex64), 0.532)
     planes = [Measurement(d, np.zeros(exit_grid.shape, np.float32)) for d in (0.0, 0.3)]
-    modelled = ForwardModel(engine, light, planes, 3.0, 0.9).amplitudes(transmission.astype(np.complex64))
+    modelled = ChannelModel.of_source(engine, light, planes, 3.0, 0.9).amplitudes(
+        transmission.astype(np.complex64)
+    )
     random = np.random.default_rng(5)
     sigma = np.float32(0.02 * max(amplitude.max() for amplitude in modelled))
     recorded = [
@@ -265,7 +268,7 @@ def test_even_standard_deviations_change_nothing(case: Case) -> None:
 @pytest.mark.parametrize("electrons", [1e4, 4e4])
 def test_the_total_variation_weight_by_the_noise_is_near_the_best(case: Case, electrons: float) -> None:
     recorded = noisy(case, electrons)
-    noise = ForwardModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
+    noise = noise_of_step(ChannelModel.of_source(case.engine, case.illumination, recorded, 1.0))
 
     def reached(weight: float | str) -> float:
         return score(
@@ -309,7 +312,7 @@ def test_what_is_not_explained_counts_as_noise(case: Case) -> None:
     recorded = noisy(case, 1e6)
     settings: dict[str, Any] = {"kind": "amplitude", "iterations": 1, "scale": 1.0}
     surer = [replace(p, sigma=0.1 * p.sigma) for p in recorded]
-    noise = ForwardModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
+    noise = noise_of_step(ChannelModel.of_source(case.engine, case.illumination, recorded, 1.0))
     first = reconstruct(case.engine, case.illumination, recorded, **settings).misfit[0]
     over = first / noise_misfit(recorded)
     assert over > 2.0
@@ -340,7 +343,7 @@ def test_planes_are_passed_once_more_for_the_scale_but_once(
     }
     found = reconstruct(case.engine, case.illumination, louder, **settings, residuals=False)
     assert len(passes) == len(louder) * (1 + 4 * 3)
-    model = ForwardModel(case.engine, case.illumination, louder, None, 1.0)
+    model = ChannelModel.of_source(case.engine, case.illumination, louder, None, 1.0)
     _, scale = model.fitted_amplitudes(found.transmission.values)
     assert found.scale == pytest.approx(scale, rel=0.02)
 
@@ -571,7 +574,7 @@ def test_a_phase_object_is_found_from_one_plane_that_leaves_a_complex_one_open(p
 
 def found_scale(case: Case) -> float:
     """Scale that the true object has: root of recorded over modelled light."""
-    model = ForwardModel(case.engine, case.illumination, case.recorded, 1.0)
+    model = ChannelModel.of_source(case.engine, case.illumination, case.recorded, 1.0)
     (modelled,) = model.amplitudes(case.transmission.astype(np.complex64))
     return float(np.linalg.norm(case.recorded[0].amplitude) / np.linalg.norm(modelled))
 

@@ -17,7 +17,7 @@ from lensdesign.lens.surface_figure import surface_figure_from_zernike
 from wavesim import read_frames
 from wavesim.fields.field import Field
 from wavesim.fields.files import read_field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.metrics.comparison import random_field
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
@@ -73,7 +73,7 @@ def stated(lens: Lens) -> SystemState:
 
 def over_noise(case: ReconstructionProblem, recorded: list[Measurement], true: np.ndarray) -> float:
     """Misfit that the true object leaves, over that of the stated noise."""
-    model = ForwardModel(case.engine, case.light, recorded, None, SETTINGS.fill_factor)
+    model = ChannelModel.of_source(case.engine, case.light, recorded, None, SETTINGS.fill_factor)
     noise = noise_misfit(recorded)
     assert noise is not None
     return model.step(true, fits_scale=True).misfit / noise

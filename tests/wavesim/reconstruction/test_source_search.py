@@ -10,7 +10,7 @@ import pytest
 
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.reconstruction import source_search
 from wavesim.reconstruction.source_search import SourceWarning, coherent_deg, coherent_nm, find_source
 from wavesim.scene.engine import Cost, Engine
@@ -74,7 +74,9 @@ def planes_in(engine: Engine, light: Field, modes: Sequence[SourceMode]) -> list
     blank = [Measurement(distance, np.ones(blocks.shape, np.float32)) for distance in DISTANCES_MM]
     planes = []
     for made, plane in zip(
-        ForwardModel(engine, light, blank, 1.0, 1.0, modes=modes).amplitudes(blocks), blank, strict=True
+        ChannelModel.of_source(engine, light, blank, 1.0, 1.0, modes=modes).amplitudes(blocks),
+        blank,
+        strict=True,
     ):
         gain = ELECTRONS / float(made.max()) ** 2
         counts = random.poisson(gain * made.astype(float) ** 2)

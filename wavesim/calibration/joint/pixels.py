@@ -41,9 +41,9 @@ from wavesim.engines.eikonal.perturbed_tiles import (
     path_derivatives,
 )
 from wavesim.fields.field import Field, Grid
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
-from wavesim.forward.source_modes import ModesMeasurement
+from wavesim.forward.stacked_channels import ChannelsMeasurement
 from wavesim.reconstruction.source_search import modes_on
 from wavesim.scene.engine import Engine, GridPair, Grids, Operator
 from wavesim.scene.light_errors import Orders, light_mode
@@ -134,7 +134,7 @@ class CalibrationPixels(ABC):
     rows: tuple[slice, ...] = ()
 
     @abstractmethod
-    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
+    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ChannelModel:
         """Return the forward model of a bench, with an engine of its own or perturbed from that of another
         bench.
         """
@@ -221,10 +221,10 @@ class CalibrationPixels(ABC):
 class DensePixels(CalibrationPixels):
     """Pixels of each plane, reached from one exit field through free space."""
 
-    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
+    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ChannelModel:
         state = unknowns.state
         scene, light = placed_scene(self.scene, state), placed_light(self.illumination, state)
-        return ForwardModel(
+        return ChannelModel.of_source(
             PerturbedTiles(reference, scene) if type(reference) is FlatTiles else self.make(scene),
             light,
             placed_planes(self.recorded, state),
@@ -264,16 +264,16 @@ class DensePixels(CalibrationPixels):
             return exit_field_changes_by_rays(engine, lit, derivatives.plane(0, parameters))
 
         model, measurement = linear.model, linear.measurement
-        if not model.modes:
+        if len(model.channels) == 1:
             return map(linear.jacobian_times_exit_field, changes(model.engine, linear.lit))
-        assert isinstance(measurement, ModesMeasurement)
-        # Fields of one mode at a time, because those of all modes and parameters need much memory.
+        assert isinstance(measurement, ChannelsMeasurement)
+        # Fields of one channel at a time, because those of all channels and parameters need much memory.
         totals = np.zeros((len(parameters), *linear.residual.shape), linear.residual.dtype)
-        for index, mode in enumerate(model.modes):
+        for index, channel in enumerate(model.channels):
             # Paths of rays change alike for all wavelengths of a band.
-            of_mode = changes(model.engine_of(mode), mode.on(linear.lit))
-            for total, change in zip(totals, of_mode, strict=True):
-                total += measurement.products_of_mode(index, change)
+            of_channel = changes(channel.engine, channel.on(linear.lit))
+            for total, change in zip(totals, of_channel, strict=True):
+                total += measurement.products_of_channel(index, change)
         return map(linear.amplitude_changes, totals)
 
     def _perturbed_scenes(self, unknowns: Unknowns, parameters: Sequence[Parameter]) -> list[PerturbedScene]:
@@ -287,7 +287,7 @@ class DensePixels(CalibrationPixels):
         name, measurement = parameter.name, linear.measurement
         if name == NONLINEARITY:
             return linear.jacobian_times_nonlinearity()
-        assert isinstance(measurement, FreeSpaceMeasurement | ModesMeasurement)
+        assert isinstance(measurement, FreeSpaceMeasurement | ChannelsMeasurement)
         if name in SENSOR_TILTS:
             return linear.amplitude_changes(measurement.by_tilt(SENSOR_TILTS.index(name)))
         if name == VIBRATION:
@@ -347,7 +347,7 @@ class TilesToPlanes:
 class SparsePixels(CalibrationPixels):
     """A regular subset of each plane's pixels as points; the distances of planes are in their own scenes."""
 
-    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
+    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ChannelModel:
         state = unknowns.state
         tiles: Sequence[FlatTiles]
         if isinstance(reference, TilesToPlanes):
@@ -363,7 +363,7 @@ class SparsePixels(CalibrationPixels):
             for plane in placed_planes(self.recorded, state)
         ]
         operator, light = TilesToPlanes(perturbed), placed_light(self.illumination, state)
-        return ForwardModel(operator, light, planes, self.scale, rows=self.rows)
+        return ChannelModel.of_source(operator, light, planes, self.scale, rows=self.rows)
 
     def _acts_on_rays(self, parameter: Parameter) -> bool:
         return not (

@@ -51,8 +51,9 @@ from wavesim.calibration.joint.selection import count_not_needed, eliminated_in_
 from wavesim.calibration.object_uncertainty import ObjectUncertainty, object_uncertainty
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import LinearModel, RealArray
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.metrics.displacement import displacement_changes
 from wavesim.metrics.goodness_of_fit import LIMIT
 from wavesim.reconstruction.amplitude_limit import with_own_limit
@@ -551,7 +552,7 @@ class JointSearch:
 
         transmission = model.illumination.with_values(fit.transmission)
         found = Reconstructed(transmission, fit.curve, (), model.scale, "converged")
-        limited = with_own_limit(solve, found, model.illumination, model.noise_of_step())
+        limited = with_own_limit(solve, found, model.illumination, noise_of_step(model))
         if limited.scale <= found.scale:  # the limit was right, or too high
             return fit
         free = solve(limited.transmission, limited.scale, bounded=False)
@@ -764,7 +765,6 @@ class JointSearch:
         model = self.pixels.model(unknowns, reference)
         if self.known is not None:
             linear = LinearModel(model, self.known, self.pixels.scale is None)
-            model.scale = linear.scale
             return _BenchFit(unknowns, linear, self.known, (linear.misfit,))
         first, scale, upper_bound = None, self.pixels.scale, 1.0
         if self.scale_without_limit > 0.0:
@@ -784,7 +784,7 @@ class JointSearch:
 
     def _object(
         self,
-        model: ForwardModel,
+        model: ChannelModel,
         start: Field | None,
         iterations: int,
         *,
@@ -812,10 +812,10 @@ class JointSearch:
         )
 
     def _on_bench(
-        self, unknowns: Unknowns, model: ForwardModel, found: Reconstructed, upper_bound: float
+        self, unknowns: Unknowns, model: ChannelModel, found: Reconstructed, upper_bound: float
     ) -> _BenchFit:
         """Return the bench of a model with an object that was found on it."""
-        model.scale = found.scale
+        model = model.with_scale(found.scale)
         values = found.transmission.values
         transmission = values.real if self.kind == "amplitude" else values
         linear = LinearModel(model, transmission, self.pixels.scale is None)

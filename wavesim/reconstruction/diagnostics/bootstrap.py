@@ -31,7 +31,7 @@ from scipy.ndimage import gaussian_filter
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError, validate_whole_number
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel, RealArray
+from wavesim.forward.channel_model import ChannelModel, RealArray
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
@@ -135,7 +135,7 @@ def uncertainty(
     own = found.transmission.values
 
     def modelled(planes: Sequence[Measurement]) -> list[RealArray]:
-        return ForwardModel(engine, illumination, planes, found.scale, fill_factor).amplitudes(own)
+        return ChannelModel.of_source(engine, illumination, planes, found.scale, fill_factor).amplitudes(own)
 
     clean = modelled(recorded)
     misfit_over_noise = _noise_ratio(recorded, clean, "the frames")

@@ -22,7 +22,7 @@ import numpy as np
 from lensdesign.errors import TransferLensError
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.metrics.goodness_of_fit import LEAST_GAIN, Trial
 from wavesim.metrics.low_orders import CURVATURE_ORDERS, PHASE_ORDERS, smooth_phase_waves
 from wavesim.reconstruction.diagnostics.bench_estimates import background, centroid, shift_pixels
@@ -454,7 +454,7 @@ class CauseTrials:
     def _light_intensities(self, engine: Engine) -> list[Array]:
         """Return the intensities of the light without an object."""
         modes = modes_on(self.light, self.source)
-        model = ForwardModel(engine, self.light, self.recorded, None, self.fill_factor, modes=modes)
+        model = ChannelModel.of_source(engine, self.light, self.recorded, None, self.fill_factor, modes=modes)
         return [
             modelled.astype(float) ** 2
             for modelled in model.amplitudes(model.lit.astype(self.light.values.dtype))

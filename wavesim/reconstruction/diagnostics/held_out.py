@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.reconstruction.object_solver import Reconstructed
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import SettingError
@@ -49,7 +49,7 @@ def residual_maps_of(
     modes
         Modes of the light; see :func:`wavesim.reconstruct`.
     """
-    model = ForwardModel(engine, light, recorded, found.scale, fill_factor, modes=modes)
+    model = ChannelModel.of_source(engine, light, recorded, found.scale, fill_factor, modes=modes)
     modelled = model.amplitudes(found.transmission.values)
     return tuple(amplitude - plane.amplitude for amplitude, plane in zip(modelled, recorded, strict=True))
 

@@ -41,7 +41,7 @@ from wavesim.engines.eikonal.perturbed_tiles import (
 )
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
 from wavesim.metrics.contrast import object_correlation
 from wavesim.metrics.goodness_of_fit import Undetected
@@ -186,10 +186,10 @@ def score_test(
     TransferLensError
         If rays or samples do not allow small displacements of the scene.
     """
-    model = ForwardModel(engine, light, recorded, scale, fill_factor)
+    model = ChannelModel.of_source(engine, light, recorded, scale, fill_factor)
     values = transmission.real if kind == "amplitude" else transmission
     linear = LinearModel(model, values, fits_scale)
-    model.scale = linear.scale
+    model = model.with_scale(linear.scale)
     columns: dict[str, RealArray] = {}
     progress("effect of the mounting")
     columns |= _mounting_columns(linear, calibrated)
@@ -369,7 +369,7 @@ def _plane_columns(linear: LinearModel, without: Collection[str]) -> dict[str, R
     return columns
 
 
-def _source_columns(linear: LinearModel, model: ForwardModel, values: NDArray[Any]) -> dict[str, RealArray]:
+def _source_columns(linear: LinearModel, model: ChannelModel, values: NDArray[Any]) -> dict[str, RealArray]:
     """Return changes per squared width of the source, and per squared bandwidth of its light."""
     light = model.illumination
     coherent = [amplitude**2 for amplitude in model.amplitudes(values)]
@@ -387,11 +387,11 @@ def _source_columns(linear: LinearModel, model: ForwardModel, values: NDArray[An
     return columns
 
 
-def _amplitudes_of(mode: SourceMode, model: ForwardModel, values: NDArray[Any]) -> list[RealArray]:
+def _amplitudes_of(mode: SourceMode, model: ChannelModel, values: NDArray[Any]) -> list[RealArray]:
     """Return the amplitudes of one direction and wavelength; its engine exists only meanwhile."""
     assert isinstance(model.engine, Engine)
     engine = _at_similar_wavelength(model.engine, mode.wavelength_um)
-    return ForwardModel(
+    return ChannelModel.of_source(
         engine, mode.on(model.illumination), model.recorded, model.scale, model.fill_factor
     ).amplitudes(values)
 

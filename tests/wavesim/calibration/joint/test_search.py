@@ -20,7 +20,7 @@ from wavesim.calibration.joint.pixels import DensePixels, RayDerivatives
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import VIBRATION, Unknowns, bench_parameters, chosen_parameters
 from wavesim.engines.choosing import engine_for
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import SystemState
@@ -53,7 +53,7 @@ def search(lens: Lens) -> JointSearch:
     scene, light, bars, rng = bars_under_stop()
     bench = Unknowns(lens, values=TRUE).state
     blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
-    model = ForwardModel(
+    model = ChannelModel.of_source(
         tiles(placed_scene(scene, bench)), placed_light(light, bench), placed_planes(blank, bench), 1.0, 1.0
     )
     recorded = []
@@ -125,7 +125,9 @@ def test_a_parameter_ends_at_the_end_of_its_range(lens: Lens, start: float) -> N
     blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
     engine, shift = tiles(scene), SystemState(plane_shifts_um=((0.0, 0.0), (1.0, 0.0)))
     recorded = []
-    for amplitude in ForwardModel(engine, light, placed_planes(blank, shift), 1.0, 0.5).amplitudes(bars):
+    for amplitude in ChannelModel.of_source(engine, light, placed_planes(blank, shift), 1.0, 0.5).amplitudes(
+        bars
+    ):
         sigma = np.full(amplitude.shape, 0.01 * float(np.sqrt(np.mean(amplitude**2))), np.float32)
         noisy = np.maximum(amplitude + sigma * rng.standard_normal(amplitude.shape), 0.0).astype(np.float32)
         recorded.append(Measurement(blank[len(recorded)].distance_mm, noisy, sigma))

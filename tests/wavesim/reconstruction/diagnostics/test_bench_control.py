@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from lensdesign import load_design, scaled
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.reconstruction.diagnostics.bench_control import Bench, displaced_bench, measured_part
 from wavesim.reconstruction.diagnostics.score_test import MOUNTING, SOURCE, ScoreTest, score_test
 from wavesim.reconstruction.object_solver import reconstruct
@@ -35,7 +36,7 @@ def textured(bench: Bench) -> NDArray[np.floating]:
 
 def recorded(bench: Bench) -> list[Measurement]:
     """Return planes of the textured picture with shot noise."""
-    model = ForwardModel(bench.engine, bench.light, bench.recorded, SCALE)
+    model = ChannelModel.of_source(bench.engine, bench.light, bench.recorded, SCALE)
     random, planes = np.random.default_rng(1), []
     modelled = model.amplitudes(textured(bench).astype(np.complex64))
     for plane, amplitude in zip(bench.recorded, modelled, strict=True):
@@ -57,7 +58,9 @@ def control_of(bench: Bench, errors: Mapping[str, float], tv_factor: float) -> t
     """Return the score test of frames from a bench with errors, and the measured part of its prediction."""
     frames = recorded(displaced_bench(bench, NO_ERRORS | dict(errors)))
     given = replace(bench, recorded=frames)
-    weight = tv_factor * ForwardModel(bench.engine, bench.light, frames, SCALE).noise_of_step() / SCALE
+    weight = (
+        tv_factor * noise_of_step(ChannelModel.of_source(bench.engine, bench.light, frames, SCALE)) / SCALE
+    )
     settings: dict[str, Any] = {"kind": "amplitude", "scale": SCALE, "fill_factor": 0.0}
     found = reconstruct(
         bench.engine, bench.light, frames, tv_weight=weight, iterations=40, **settings

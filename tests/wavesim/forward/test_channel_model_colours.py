@@ -1,4 +1,4 @@
-"""The model of several wavelengths: its adjoint, its slope, and the sums that pixels measure."""
+"""Channels of several wavelengths: the adjoint, the slope, and the sums that pixels measure."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import pytest
 from small_twins import small_twin
 
 from wavesim.fields.field import Field
-from wavesim.forward.colour_model import ColourModel, Response
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import Channel, ChannelModel, Response
 from wavesim.scene.engine import Engine
 from wavesim.sensor.colour_filters import ColourFilters
 from wavesim.sensor.measurement import Measurement
@@ -23,6 +22,20 @@ def parts() -> tuple[list[Engine], list[Field]]:
     engine, light = small_twin()
     lights = [Field(light.grid, light.values, one) for one in WAVELENGTHS_UM]
     return [engine.at_wavelength(one) for one in WAVELENGTHS_UM], lights
+
+
+def colour_model(
+    engines: Sequence[Engine],
+    lights: Sequence[Field],
+    recorded: Sequence[Measurement],
+    responses: Sequence[Sequence[Response]],
+) -> ChannelModel:
+    """A transmission for each wavelength, recorded by pixels that integrate."""
+    channels = [
+        Channel(engine, light, [plane[n] for plane in responses], n)
+        for n, (engine, light) in enumerate(zip(engines, lights, strict=True))
+    ]
+    return ChannelModel.of(channels, recorded, 1.0, 1.0)
 
 
 def mosaic(shape: tuple[int, int]) -> list[np.ndarray]:
@@ -43,7 +56,7 @@ def test_a_step_goes_down_the_misfits_slope(parts: tuple[list[Engine], list[Fiel
     t = 0.7 + 0.2 * rng.standard_normal((3, *grid.shape))
     truth = 0.7 + 0.2 * rng.standard_normal((3, *grid.shape))
     blank = [Measurement(0.3 * n, np.ones(shape)) for n in range(len(responses))]
-    seen = ColourModel(engines, lights, blank, responses, 1.0).amplitudes(truth.astype(complex))
+    seen = colour_model(engines, lights, blank, responses).amplitudes(truth.astype(complex))
     planes = [
         Measurement(
             plane.distance_mm,
@@ -53,7 +66,7 @@ def test_a_step_goes_down_the_misfits_slope(parts: tuple[list[Engine], list[Fiel
         )
         for n, (plane, amplitude) in enumerate(zip(blank, seen, strict=True))
     ]
-    model = ColourModel(engines, lights, planes, responses, 1.0)
+    model = colour_model(engines, lights, planes, responses)
     change, *_ = model.step(t.astype(complex))
 
     def cost(values: np.ndarray) -> float:
@@ -80,7 +93,7 @@ def test_fields_on_pixels_and_their_adjoint_have_one_inner_product(
     shape, grid = engines[0].scene.exit_grid.shape, lights[0].grid
     responses = [tuple(mosaic(shape))] * 2
     blank = [Measurement(0.0, np.ones(shape)), Measurement(0.4, np.ones(shape))]
-    model = ColourModel(engines, lights, blank, responses, 1.0)
+    model = colour_model(engines, lights, blank, responses)
     t, v = (rng.standard_normal((3, *grid.shape)) + 1j * rng.standard_normal((3, *grid.shape)) for _ in "tv")
     weights = [rng.standard_normal(shape) for _ in blank]
 
@@ -90,14 +103,13 @@ def test_fields_on_pixels_and_their_adjoint_have_one_inner_product(
     # An intensity is quadratic: its change is the exact central difference.
     changes = [0.5 * (up - down) for up, down in zip(intensity(t + v), intensity(t - v), strict=True)]
     forward = sum(float(np.vdot(w, one)) for w, one in zip(weights, changes, strict=True))
-    spectra = model._spectra(t)
+    spectra = model.spectra(t)
     totals = [np.zeros_like(one) for one in spectra]
-    for index, weight in enumerate(weights):
-        rows_of, _ = model._intensity(index, spectra)
-        model._add_adjoints(index, rows_of, weight, totals)
+    for index, (spectrum, total) in enumerate(zip(spectra, totals, strict=True)):
+        model.add_adjoint(index, spectrum, weights, total)
     adjoint = 0.0
-    for index, (total, passes) in enumerate(zip(totals, model.passes, strict=True)):
-        on_object = model._adjoint_to_object(index, total) * passes * model.peak_powers[index]
+    for index, change in enumerate(model.to_transmission(totals)):
+        on_object = change * model.passes[index] * model.peak_powers[index]
         adjoint += 2.0 * float(np.vdot(on_object, v[index]).real)
     cells = lights[0].grid.cell / engines[0].scene.exit_grid.cell
     assert forward == pytest.approx(adjoint * cells, rel=1e-6)
@@ -110,9 +122,9 @@ def test_one_wavelength_of_three_is_that_of_the_model_of_one(
     shape, grid = engines[1].scene.exit_grid.shape, lights[1].grid
     t = np.random.default_rng(2).random(grid.shape).astype(complex)
     blank = [Measurement(0.0, np.ones(shape)), Measurement(0.3, np.ones(shape))]
-    one = ForwardModel(engines[1], lights[1], blank, 1.0, 1.0)
+    one = ChannelModel.of_source(engines[1], lights[1], blank, 1.0, 1.0)
     responses = [(0.0, 1.0, 0.0)] * 2
-    three = ColourModel(engines, lights, blank, responses, 1.0)
+    three = colour_model(engines, lights, blank, responses)
     stacked = np.stack([t, t, t])
     for single, several in zip(one.amplitudes(t), three.amplitudes(stacked), strict=True):
         assert several == pytest.approx(single, rel=1e-9, abs=1e-9)
@@ -127,10 +139,10 @@ def test_a_mosaic_measures_its_filters_sum(parts: tuple[list[Engine], list[Field
     t = np.random.default_rng(3).random((3, *grid.shape)).astype(complex)
     blank = [Measurement(0.0, np.ones(shape))]
     table = mosaic(shape)
-    (found,) = ColourModel(engines, lights, blank, [tuple(table)], 1.0).amplitudes(t)
+    (found,) = colour_model(engines, lights, blank, [tuple(table)]).amplitudes(t)
     expected = np.zeros(shape)
     for index, response in enumerate(table):
         alone = [1.0 if n == index else 0.0 for n in range(3)]
-        (amplitude,) = ColourModel(engines, lights, blank, [alone], 1.0).amplitudes(t)
+        (amplitude,) = colour_model(engines, lights, blank, [alone]).amplitudes(t)
         expected += response * amplitude**2
     assert found**2 == pytest.approx(expected, rel=1e-6, abs=1e-12)

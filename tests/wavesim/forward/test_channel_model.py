@@ -12,7 +12,8 @@ from small_twins import small_twin
 from lensdesign.lens.lens import Sensor
 from wavesim.engines.registry import engine_on
 from wavesim.fields.propagator import propagate
-from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.channel_model import ChannelModel
+from wavesim.forward.step_noise import noise_of_step
 from wavesim.runtime import threads
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import Source, SourceMode
@@ -54,7 +55,7 @@ def test_a_step_goes_down_the_misfits_slope(
     truth = 0.7 + 0.2 * rng.standard_normal(lit.grid.shape)
     shape = engine.scene.exit_grid.shape
     blank = [Measurement(d, np.ones(shape)) for d in (0.0, 0.6)]
-    seen = ForwardModel(engine, lit, blank, 1.0, fill_factor).amplitudes(truth.astype(complex))
+    seen = ChannelModel.of_source(engine, lit, blank, 1.0, fill_factor).amplitudes(truth.astype(complex))
     planes = [
         Measurement(
             p.distance_mm,
@@ -66,7 +67,7 @@ def test_a_step_goes_down_the_misfits_slope(
         )
         for n, (p, a) in enumerate(zip(blank, seen, strict=True))
     ]
-    model = ForwardModel(engine, lit, planes, 1.0, fill_factor, modes=modes)
+    model = ChannelModel.of_source(engine, lit, planes, 1.0, fill_factor, modes=modes)
     change, *_ = model.step(t.astype(complex))
 
     def cost(values: np.ndarray) -> float:
@@ -86,9 +87,9 @@ def test_light_of_a_wide_source_is_that_of_its_directions_added_up(model_parts: 
     t = (0.7 + 0.2 * rng.standard_normal(lit.grid.shape)).astype(complex)
     blank = [Measurement(d, np.ones(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
     modes = Source(2.0).modes(0.532, 1, 4)
-    found = ForwardModel(engine, lit, blank, 1.0, 1.0, modes=modes).amplitudes(t)
+    found = ChannelModel.of_source(engine, lit, blank, 1.0, 1.0, modes=modes).amplitudes(t)
     apart = [
-        ForwardModel(engine, LightErrors(mode.tilt_deg).on(lit), blank, 1.0, 1.0).amplitudes(t)
+        ChannelModel.of_source(engine, LightErrors(mode.tilt_deg).on(lit), blank, 1.0, 1.0).amplitudes(t)
         for mode in modes
     ]
     for number, one in enumerate(found):
@@ -104,7 +105,7 @@ def test_broad_light_is_recorded_as_simulated_frames_record_it(model_parts: tupl
     grid, source = engine.scene.exit_grid, Source(bandwidth_nm=60.0)
     blank = [Measurement(0.3, np.ones(grid.shape))]
     (broad,), (narrow,) = (
-        ForwardModel(engine, lit, blank, 1.0, 1.0, modes=modes).amplitudes(t)
+        ChannelModel.of_source(engine, lit, blank, 1.0, 1.0, modes=modes).amplitudes(t)
         for modes in (source.few_modes(0.532, samples=lit.grid.shape[0]), ())
     )
     sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=grid.shape[::-1], plane_distances_mm=(1.0,))
@@ -130,7 +131,7 @@ def test_the_noise_of_a_step_is_that_of_a_nearly_unitary_engine(model_parts: tup
     engine, lit = model_parts
     shape, sigma = engine.scene.exit_grid.shape, 0.02
     planes = [Measurement(d, np.ones(shape), np.full(shape, sigma)) for d in (0.0, 0.6)]
-    found = ForwardModel(engine, lit, planes, 1.0).noise_of_step()
+    found = noise_of_step(ChannelModel.of_source(engine, lit, planes, 1.0))
     whole = sigma * np.sqrt(engine.scene.exit_grid.cell / (2.0 * len(planes) * lit.grid.cell))
     band = np.pi * (0.5 / 0.532e-3 * lit.grid.pitch_mm) ** 2
     assert 0.75 * np.sqrt(band) * whole < found < 1.1 * np.sqrt(band) * whole
@@ -148,7 +149,9 @@ def test_a_shifted_sensor_with_a_background_sees_the_light_shifted_and_added_to(
         Measurement(0.6, np.ones(shape)),
         Measurement(0.6, np.ones(shape), None, (3 * PITCH, -PITCH), background),
     ]
-    still, moved = ForwardModel(engine, lit, planes, 1.0, fill_factor).amplitudes(np.ones(lit.grid.shape))
+    still, moved = ChannelModel.of_source(engine, lit, planes, 1.0, fill_factor).amplitudes(
+        np.ones(lit.grid.shape)
+    )
     expected = np.sqrt(np.roll(still**2, (1, -3), (0, 1)) + 0.03)
     assert np.allclose(moved, expected, atol=1e-5 * still.max())
 
@@ -161,7 +164,7 @@ def test_a_tilt_of_the_sensor_changes_what_it_sees_as_in_simulated_frames(
     grid, tilt_deg = engine.scene.exit_grid, (2.4, -1.8)
     t = 0.7 + 0.6 * np.random.default_rng(6).standard_normal(lit.grid.shape)
     planes = [Measurement(0.3, np.ones(grid.shape), tilt_deg=tilt) for tilt in ((0.0, 0.0), tilt_deg)]
-    upright, tilted = ForwardModel(engine, lit, planes, 1.0, fill_factor).amplitudes(t)
+    upright, tilted = ChannelModel.of_source(engine, lit, planes, 1.0, fill_factor).amplitudes(t)
     finer = replace(grid, shape=(432, 432), pitch_mm=0.5 * PITCH, z_mm=grid.z_mm + 0.3)
     there = propagate(engine.forward(lit.with_values(t * lit.values)), finer, coarse_output=True)
     sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(216, 216), plane_distances_mm=(1.0,))
@@ -178,7 +181,7 @@ def test_once_a_plane_has_its_amplitudes_more_rounds_change_nothing(model_parts:
     """Of one plane at points, a round of length 1 replaces the amplitudes, and leaves none to replace."""
     engine, lit = model_parts
     amplitude = 0.1 + np.random.default_rng(8).random(engine.scene.exit_grid.shape)
-    model = ForwardModel(engine, lit, [Measurement(0.0, amplitude)], 1.0)
+    model = ChannelModel.of_source(engine, lit, [Measurement(0.0, amplitude)], 1.0)
     once, misfit, _ = model.step(lit.values)
     for rounds in (2, 4):
         again, same, _ = model.step(lit.values, rounds)
@@ -193,7 +196,7 @@ def test_planes_in_turn_leave_the_amplitudes_of_the_last_plane(model_parts: tupl
     """Of one plane at points, the field has its amplitudes, whatever the first length (of 1 at most)."""
     engine, lit = model_parts
     amplitude = 0.1 + np.random.default_rng(8).random(engine.scene.exit_grid.shape)
-    model = ForwardModel(engine, lit, [Measurement(0.0, amplitude)], 1.0)
+    model = ChannelModel.of_source(engine, lit, [Measurement(0.0, amplitude)], 1.0)
     once, misfit, _ = model.step(lit.values)
     for rounds in (2, 4):
         again, same, _ = model.step(lit.values, rounds, length, planes_in_turn=True)
@@ -204,7 +207,7 @@ def test_planes_in_turn_leave_the_amplitudes_of_the_last_plane(model_parts: tupl
 def test_planes_in_turn_and_planes_at_once_are_the_same_for_one_plane_of_pixels(model_parts: tuple) -> None:
     engine, lit = model_parts
     amplitude = 0.1 + np.random.default_rng(8).random(engine.scene.exit_grid.shape)
-    model = ForwardModel(engine, lit, [Measurement(0.6, amplitude)], 1.0, 1.0)
+    model = ChannelModel.of_source(engine, lit, [Measurement(0.6, amplitude)], 1.0, 1.0)
     at_once, in_turn = (
         model.step(lit.values, 3, planes_in_turn=planes_in_turn)[0] for planes_in_turn in (False, True)
     )
@@ -217,7 +220,7 @@ def test_directions_that_are_all_the_same_are_one(model_parts: tuple, rounds: in
     random = np.random.default_rng(9)
     planes = [Measurement(d, 0.1 + random.random(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
     one, many = (
-        ForwardModel(engine, lit, planes, 1.0, 1.0, modes=modes).step(lit.values, rounds, 1.3)
+        ChannelModel.of_source(engine, lit, planes, 1.0, 1.0, modes=modes).step(lit.values, rounds, 1.3)
         for modes in ((), Source(1e-9).few_modes(0.532))
     )
     assert np.allclose(many[0], one[0], atol=1e-8 * np.abs(one[0]).max())
