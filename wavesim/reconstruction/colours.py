@@ -56,9 +56,11 @@ from wavesim.reconstruction.object_solver import (
     Stage,
 )
 from wavesim.reconstruction.prior_bias import LEAST_FACTOR, may_be_biased
-from wavesim.reconstruction.problem import validate_frames
+from wavesim.reconstruction.problem import key_of_frames, validate_frames
+from wavesim.reconstruction.resumable import state_of, state_saver
 from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop
 from wavesim.reconstruction.total_variation import prox_tv
+from wavesim.runtime.checkpoint import CheckpointSeries
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import ColourSettings, Kind, SettingError
@@ -303,6 +305,7 @@ def reconstruct_colours(
     settings: ColourSettings | None = None,
     *,
     truth: Sequence[Field] | Path | None = None,
+    folder: Path | None = None,
     progress: Progress | None = None,
     **changes: Any,
 ) -> FoundColours:
@@ -320,6 +323,8 @@ def reconstruct_colours(
     truth
         True transmission at each wavelength, in any order, on the patch's samples; or the folder of
         `wavesim image` with them.
+    folder
+        Folder of the checkpoints; the same call continues an interrupted run, and finds the same object.
     progress
         Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
     **changes
@@ -355,7 +360,8 @@ def reconstruct_colours(
     validate_frames(lens, frames, settings)
     case = _problem(lens, frames, settings)
     true_objects = _true_objects(case, truth)
-    search = _Search(case, settings, progress or (lambda stage, completed, total: None))
+    checkpoints = CheckpointSeries(folder, _key(lens, frames, case, settings))
+    search = _Search(case, settings, progress or (lambda stage, completed, total: None), checkpoints)
     found = search.find(case.recorded)
     state, descent, transmissions = found.state, found.descent, found.transmission.astype(np.complex64)
     heights, repeats = None, tuple[Transmissions, ...]()
@@ -520,8 +526,10 @@ class _Found(NamedTuple):
 class _Search:
     """Searches of the object at all wavelengths."""
 
-    def __init__(self, case: _Problem, settings: ColourSettings, progress: Progress) -> None:
-        self.case, self.settings, self.progress = case, settings, progress
+    def __init__(
+        self, case: _Problem, settings: ColourSettings, progress: Progress, checkpoints: CheckpointSeries
+    ) -> None:
+        self.case, self.settings, self.progress, self.checkpoints = case, settings, progress, checkpoints
 
     def find(self, recorded: Sequence[Measurement], scale: float | None = None, stage: str = "") -> _Found:
         """Return the result of all stages.
@@ -681,7 +689,7 @@ class _Search:
             first = (start.real if dtype == model.real else start).astype(dtype)
         first *= model.lit
         state = SolverState(first, first, 0.0, (), known, 0, 0)
-        state, factor = descent.run(state, stages), 1.0
+        state, factor = self._descend(descent, state, stages, film), 1.0
         noise = noise_misfit(recorded) if descent.noise_at_scale_1 is not None else None
         while (
             kind == "amplitude"
@@ -691,8 +699,41 @@ class _Search:
         ):
             factor *= 0.5
             again = replace(state, ahead=state.transmission, momentum=0.0, began=len(state.misfit))
-            state = replace(descent, noise_at_scale_1=factor * mean).run(again, stages)
+            state = self._descend(replace(descent, noise_at_scale_1=factor * mean), again, stages, film)
         return state, descent
+
+    def _descend(
+        self,
+        descent: ProximalDescent,
+        state: SolverState,
+        stages: Sequence[Stage],
+        film: FilmProjection | None,
+    ) -> SolverState:
+        """Return the state after all stages; an interrupted run continues where it was."""
+        checkpoint = self.checkpoints.next()
+        if checkpoint is None:
+            return descent.run(state, stages)
+        saved = checkpoint.load()
+        if saved is not None:
+            state = state_of(saved, Scratch())
+            if film is not None:
+                film.height_um = saved["height_um"]
+        if saved is None or not saved["ended"]:
+            save = state_saver(checkpoint, extra=lambda: _progress_of(film, ended=False))
+            state = replace(descent, keep=save).run(state, stages)
+            checkpoint.keep(**vars(state), **_progress_of(film, ended=True))
+        return state
+
+
+def _progress_of(film: FilmProjection | None, *, ended: bool) -> dict[str, Any]:
+    """Return what a checkpoint holds beside the solver's state."""
+    return {"ended": ended} | ({} if film is None else {"height_um": film.height_um})
+
+
+def _key(lens: Lens, frames: Sequence[Frame], case: _Problem, settings: ColourSettings) -> str:
+    """Return the digest of all that decides the result."""
+    engines = (engine.key() for engine in case.engines)
+    return key_of_frames(lens, frames, case.lights[0], settings.model_dump_json(), *engines)
 
 
 class FilmProjection:

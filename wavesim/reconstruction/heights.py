@@ -204,7 +204,7 @@ def heights_from_phases(
         is_best = squares < best
         second = np.where(is_best, best, np.minimum(second, squares))
         best_um, best = np.where(is_best, height_um, best_um), np.where(is_best, squares, best)
-    ambiguous = ~(second - best > SURE) | ~np.isfinite(best)
+    ambiguous = ~(second > best + SURE) | ~np.isfinite(best)
     return Heights(best_um, 1.0 / np.sqrt(information), ambiguous)
 
 

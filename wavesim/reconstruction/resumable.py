@@ -47,8 +47,11 @@ def saved_state(checkpoint: Checkpoint | None, scratch: Scratch) -> SolverState 
     Pass the result on without a name, so that its arrays do not stay in memory to the end.
     """
     saved = checkpoint.load() if checkpoint else None
-    if saved is None:
-        return None
+    return None if saved is None else state_of(saved, scratch)
+
+
+def state_of(saved: dict[str, Any], scratch: Scratch) -> SolverState:
+    """Return the state that a checkpoint holds; its arrays are removed from `saved`."""
     return SolverState(
         scratch.moved(saved.pop("transmission"), "a step"),
         scratch.moved(saved.pop("ahead"), "a step"),
@@ -138,11 +141,14 @@ def _retrieval_state(saved: dict[str, Any]) -> RetrievalState:
 
 
 def state_saver(
-    checkpoint: Checkpoint | None, time_fraction: float = math.inf
+    checkpoint: Checkpoint | None,
+    time_fraction: float = math.inf,
+    extra: Callable[[], dict[str, Any]] = dict,
 ) -> Callable[[Any], None] | None:
     """Return a callback that saves states, or None without a checkpoint.
 
-    States are saved so rarely that saving takes at most the given fraction of the time.
+    States are saved so rarely that saving takes at most the given fraction of the time. `extra` returns what
+    is saved with them.
     """
     if checkpoint is None:
         return None
@@ -153,7 +159,7 @@ def state_saver(
         save_start = time.monotonic()
         if save_start - last_save < interval:
             return
-        checkpoint.keep(**vars(state))
+        checkpoint.keep(**vars(state), **extra())
         last_save = time.monotonic()
         interval = max(SAVE_INTERVAL_S, (last_save - save_start) / time_fraction)
 

@@ -25,6 +25,9 @@ CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT, SOURCE_CHECKPOINT, STOP_TRIALS = 
 change of the field stop, of the sources of light that were found, and of the field stops that were tried.
 """
 
+CHECKPOINT_PREFIX = "checkpoint_search_"
+"""Beginning of the names of the checkpoints of searches that follow each other."""
+
 SEARCH_CHECKPOINTS = CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT, SOURCE_CHECKPOINT, STOP_TRIALS
 """Names of all checkpoints of a calibration."""
 
@@ -80,6 +83,34 @@ class Checkpoint:
     def drop(self) -> None:
         """Remove the stored results."""
         self.path.unlink(missing_ok=True)
+
+
+class CheckpointSeries:
+    """Checkpoints of searches that follow each other in a run: a finished search is not repeated.
+
+    Parameters
+    ----------
+    folder
+        Folder of the files; None: nothing is stored.
+    key
+        Digest of inputs and settings of the run.
+    """
+
+    def __init__(self, folder: Path | None, key: str) -> None:
+        self._folder, self._key, self._count = folder, key, 0
+
+    def next(self) -> Checkpoint | None:
+        """Return the checkpoint of the next search of the run."""
+        self._count += 1
+        if self._folder is None:
+            return None
+        return Checkpoint(self._folder / f"{CHECKPOINT_PREFIX}{self._count}.npz", self._key)
+
+
+def drop_series(folder: Path) -> None:
+    """Remove the files of a series, which a run needs no more."""
+    for path in folder.glob(f"{CHECKPOINT_PREFIX}*.npz"):
+        path.unlink(missing_ok=True)
 
 
 def key_of(*parts: bytes | str) -> str:

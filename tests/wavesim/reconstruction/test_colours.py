@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.surface_roughness import SurfaceRoughness
 from wavesim.fields.field import Field
+from wavesim.reconstruction import resumable
 from wavesim.reconstruction.colours import FilmProjection, FoundColours, reconstruct_colours
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.heights import wave_numbers
+from wavesim.runtime.checkpoint import drop_series
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.imaging import Imaged, image
 from wavesim.targets.colours import film
@@ -43,6 +49,7 @@ def objects() -> list[Field]:
     ]
 
 
+@cache
 def taken_at_once(filters: str) -> Imaged:
     return image(LENS, objects(), wavelengths_um=PAIR, colour_filters=filters, **TAKEN)
 
@@ -170,7 +177,7 @@ def test_wrong_frames_and_settings_are_named() -> None:
     (frame,) = frames
     one_colour = Frame(frame.counts, frame.settings.replaced(colours=None))
     smaller = Frame(frame.counts[:-2], frame.settings)
-    for given, changes, message in (
+    for chosen, changes, message in (
         ([], {}, "needs at least one frame"),
         ([one_colour], {}, "two or more wavelengths"),
         ([frame, smaller], {}, "the same size"),
@@ -182,12 +189,12 @@ def test_wrong_frames_and_settings_are_named() -> None:
         (frames, {"tv_weight": -1.0}, "not negative"),
     ):
         with pytest.raises(InputError, match=message):
-            reconstruct_colours(LENS, given, **FOUND, **changes)
+            reconstruct_colours(LENS, chosen, **FOUND, **changes)
     with pytest.raises(InputError, match=r"0\.532, 0\.635 µm were recorded at once"):
         reconstruct_frames(LENS, frames, **FOUND)
     truth = [replace(one, wavelength_um=0.5) for one in objects()]
     with pytest.raises(InputError, match=r"needs the object at 0\.532 um"):
-        reconstruct_colours(LENS, frames, kind="amplitude", truth=truth, progress=no_search, **FOUND)
+        reconstruct_colours(LENS, chosen, kind="amplitude", truth=truth, progress=no_search, **FOUND)
 
 
 def no_search(stage: str, _completed: int, _total: int) -> None:
@@ -212,3 +219,50 @@ def test_inputs_are_checked_before_the_search() -> None:
         settings = frame.settings if colours is None else frame.settings.replaced(colours=colours)
         with pytest.raises(InputError, match=message):
             reconstruct_colours(lens, [Frame(frame.counts, settings)], progress=no_search, **FOUND, **changes)
+
+
+@cache
+def uninterrupted_run(kind: str) -> tuple[FoundColours, int]:
+    """What a run without an interrupt finds, and how often it reports progress."""
+    reports = list[str]()
+    found = reconstruct_colours(
+        LENS, taken_at_once("bayer").frames, progress=lambda stage, *_: reports.append(stage), **of_kind(kind)
+    )
+    return found, len(reports)
+
+
+def of_kind(kind: str) -> dict[str, Any]:
+    film_of = {"film_index": 1.5, "repeats": 2, "heights_um": (0.0, 1.0)} if kind == "thickness" else {}
+    return {"kind": kind, "iterations": 6, **film_of, **FOUND}
+
+
+@given(kind=st.sampled_from(["amplitude", "complex", "thickness"]), place=st.floats(0.0, 1.0))
+@settings(deadline=None, max_examples=8)
+def test_a_run_that_continues_after_an_interrupt_finds_the_same_bits(kind: str, place: float) -> None:
+    whole, reports = uninterrupted_run(kind)
+    left = 1 + round(place * (reports - 2))
+
+    def interrupt(*_: object) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            raise KeyboardInterrupt
+
+    with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patched:
+        patched.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
+        given: dict[str, Any] = {"folder": Path(name), **of_kind(kind)}
+        frames, repeated = taken_at_once("bayer").frames, list[str]()
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct_colours(LENS, frames, progress=interrupt, **given)
+        found = reconstruct_colours(LENS, frames, progress=lambda stage, *_: repeated.append(stage), **given)
+        assert len(repeated) <= reports - max(0, round(place * (reports - 2)) - 1)
+        drop_series(Path(name))
+        assert not list(Path(name).iterdir())
+    for one, other in zip(found.transmissions, whole.transmissions, strict=True):
+        np.testing.assert_array_equal(one.values, other.values)
+    assert (found.misfit, found.scale) == (whole.misfit, whole.scale)
+    for one, other in zip(found.residual_maps, whole.residual_maps, strict=True):
+        np.testing.assert_array_equal(one, other)
+    if whole.heights is not None and found.heights is not None:
+        np.testing.assert_array_equal(found.heights.height_um, whole.heights.height_um)
+        np.testing.assert_array_equal(found.heights.deviation_um, whole.heights.deviation_um)
