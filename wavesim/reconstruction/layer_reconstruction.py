@@ -35,6 +35,7 @@ from wavesim.reconstruction.problem import (
     validate_coherent,
     validate_frames,
 )
+from wavesim.runtime.checkpoint import CheckpointSeries, key_of
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings, SettingError
@@ -234,7 +235,8 @@ def reconstruct_layers(
         Whether to reconstruct layers that frames do not determine. The result is then one of many solutions,
         the one with the smallest total variation, and its verdict says so.
     folder
-        Folder of arrays that do not fit in memory.
+        Folder of the checkpoints, from which the same call continues an interrupted search with the same bits,
+        and of arrays that do not fit in memory.
     progress
         Callback `progress(stage, completed, total)`.
     on_estimate
@@ -303,6 +305,7 @@ def reconstruct_layers(
         fill_factor=settings.fill_factor,
         scale=settings.scale,
         progress=on_iteration,
+        checkpoints=CheckpointSeries(folder, key_of(case.key, repr(distances))),
     )
     return FoundLayers(
         settings=settings,

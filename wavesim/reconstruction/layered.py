@@ -44,7 +44,8 @@ from wavesim.fields.field import Field
 from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.step_noise import noise_of_step
 from wavesim.reconstruction.object_solver import validate_measurements, validate_numbers
-from wavesim.reconstruction.stop_rule import AT_NOISE, Stop
+from wavesim.reconstruction.stop_rule import AT_NOISE, STOPPED, Stop
+from wavesim.runtime.checkpoint import Checkpoint, CheckpointSeries
 from wavesim.scene.engine import Engine
 from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit, noise_misfit
 from wavesim.targets.layers import LayerStack
@@ -116,6 +117,7 @@ def find_layers(
     fill_factor: float = 0.0,
     scale: float | None = None,
     progress: Callable[[int, float], None] | None = None,
+    checkpoints: CheckpointSeries | None = None,
 ) -> Layers:
     """Find the transmissions of the layers of an object behind measured amplitudes.
 
@@ -143,6 +145,9 @@ def find_layers(
         each layer is 1.
     progress
         Callback `progress(index, misfit)`, called after every iteration.
+    checkpoints
+        Where states are saved, after each round of iterations; the same call continues an interrupted search,
+        and finds the same layers. Default: nowhere.
 
     Returns
     -------
@@ -203,7 +208,8 @@ def find_layers(
             objective.fit_scale(values)
         # Layers of modulus 1 cannot take up an error of the scale, which the even object leaves.
         fits_scale = scale is None and kind == "phase"
-        search = _Search(objective, tv_weight, noise_misfit(planes), last, fits_scale, progress)
+        checkpoint = None if checkpoints is None else checkpoints.next()
+        search = _Search(objective, tv_weight, noise_misfit(planes), last, fits_scale, progress, checkpoint)
         values, reason = search.run(values, misfits)
     assert values is not None
     transmissions, factor = parameters.normalized(objective.transmissions(values), stack.lit)
@@ -403,21 +409,27 @@ class _Search:
     iterations: int
     fits_scale: bool
     progress: Callable[[int, float], None] | None
+    checkpoint: Checkpoint | None = None
 
     def run(self, unknowns: RealArray, misfits: list[float]) -> tuple[RealArray, Stop]:
         """Return the unknowns and the reason to stop, and append the misfit of every iteration."""
         objective, begun = self.objective, len(misfits)
         noise = noise_of_step(objective.model) if self.tv_weight == "auto" else 0.0
-        objective(unknowns)
         lowest = -np.inf if objective.parameters.lowest is None else objective.parameters.lowest
-        length = SHORT_ROUND
+        length, reason = SHORT_ROUND, None
+        saved = None if self.checkpoint is None else self.checkpoint.load()
+        if saved is not None:
+            unknowns, length, misfits[:] = saved["unknowns"], int(saved["length"]), saved["misfits"].tolist()
+            objective.model = objective.model.with_scale(float(saved["scale"]))
+            reason = next((one for one in STOPPED if one == str(saved["reason"])), None)
+        objective(unknowns)
 
         def after_iteration(_: RealArray) -> None:
             misfits.append(objective.misfit)
             if self.progress is not None:
                 self.progress(len(misfits) - 1, objective.misfit)
 
-        while len(misfits) < self.iterations:
+        while reason is None and len(misfits) < self.iterations:
             before, done = objective.misfit, len(misfits)
             if done > begun and self.fits_scale:
                 objective.fit_scale(unknowns)
@@ -442,10 +454,18 @@ class _Search:
                 at_noise = objective.misfit <= AT_NOISE * (self.misfit_of_noise or 0.0)
                 if not misfits:
                     misfits.append(before)
-                return unknowns, "noise" if at_noise else "converged"
+                reason = "noise" if at_noise else "converged"
             if fall < FAST_FALL:
                 length = LONG_ROUND
-        return unknowns, "iterations"
+            if self.checkpoint is not None:
+                self.checkpoint.keep(
+                    unknowns=unknowns,
+                    length=length,
+                    misfits=misfits,
+                    scale=objective.model.scale,
+                    reason=reason or "",
+                )
+        return unknowns, reason or "iterations"
 
     def _weight(self, noise: float) -> float:
         """Return the weight of the total variation at the present misfit."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.forward.channel_model import ChannelModel
 from wavesim.reconstruction.layered import _PARAMETERS, LayersObjective, find_layers
+from wavesim.runtime.checkpoint import CheckpointSeries
 from wavesim.scene.engine import Engine
 from wavesim.scene.patches import patch_scene
 from wavesim.sensor.measurement import Measurement
@@ -127,3 +130,47 @@ def test_a_search_on_many_planes_begins_with_the_nearest_and_the_farthest() -> N
     assert found.misfit[:20] == pytest.approx(of_two.misfit, rel=1e-6)
     assert len(found.residual_maps) == 3
     assert found.misfit[-1] < of_two.misfit[-1]
+
+
+@pytest.mark.parametrize("kind", ["amplitude", "phase"])
+def test_a_search_that_continues_after_an_interrupt_finds_the_same_bits(kind: str, tmp_path: Path) -> None:
+    """After an interrupt in any of the rounds, also on the first two of three planes, and at the end."""
+    stack = two_layers()
+    disc = np.hypot(stack.grid.x_mm - 0.002, stack.grid.y_mm[:, None]) < 0.0015
+    values = np.where(disc, 0.3, 1.0)
+    truth = [values if kind == "amplitude" else np.exp(1j * values) for values in (values, values[:, ::-1])]
+    given: dict[str, Any] = {"kind": kind, "tv_weight": 1e-3, "iterations": 45}
+    recorded = recorded_of(stack, truth, (0.05, 0.0, 0.1))
+    whole = find_layers(small_engine(), stack, recorded, **given)
+    for stop in (3, 14, 29, 31, len(whole.misfit) - 1):
+
+        def interrupt(index: int, _: float, stop: int = stop) -> None:
+            if index == stop:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            find_layers(
+                small_engine(),
+                stack,
+                recorded,
+                progress=interrupt,
+                checkpoints=CheckpointSeries(tmp_path, f"{stop}"),
+                **given,
+            )
+        seen = list[int]()
+        found = find_layers(
+            small_engine(),
+            stack,
+            recorded,
+            progress=lambda index, _, seen=seen: seen.append(index),
+            checkpoints=CheckpointSeries(tmp_path, f"{stop}"),
+            **given,
+        )
+        assert len(seen) < len(whole.misfit) or stop < 20  # the length of the first round
+        assert (found.misfit, found.scale, found.stopped_because) == (
+            whole.misfit,
+            whole.scale,
+            whole.stopped_because,
+        )
+        for one, other in zip(found.transmissions, whole.transmissions, strict=True):
+            np.testing.assert_array_equal(one.values, other.values)
