@@ -322,13 +322,13 @@ MUTATIONS = (
     # Judgement
     Mutation(
         "resolved at half the contrast",
-        "wavesim/metrics/contrast.py",
+        "wavesim/targets/bars.py",
         "RESOLVED_CONTRAST = 0.2",
         "RESOLVED_CONTRAST = 0.1",
     ),
     Mutation(
         "contrast over the brighter part",
-        "wavesim/targets/bar_sets.py",
+        "wavesim/targets/bars.py",
         "total = bright + dark",
         "total = bright",
         "tests/wavesim/metrics/test_contrast.py",

@@ -39,7 +39,6 @@ from tolerancing.perturbations.grades import FRINGE_UM
 from tolerancing.statistics.yields import CONFIDENCE, yield_of
 from wavesim.fields.field import Grid, correlation, relative_error
 from wavesim.fields.propagator import FreeSpacePropagator
-from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.metrics.similarity import psnr_db
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, mtf, rms_waves, strehl
 from wavesim.rays.interfaces import transmission
@@ -47,6 +46,7 @@ from wavesim.reconstruction.phase_retrieval import FEEDBACK, TV_STEP
 from wavesim.reconstruction.refocusing import svfg
 from wavesim.scene.scene import Scene
 from wavesim.sensor.camera_noise import Electronics, SaturationWarning, expose
+from wavesim.targets.bars import RESOLVED_CONTRAST
 from wavesim.targets.usaf import usaf_elements, usaf_line_width_um
 
 

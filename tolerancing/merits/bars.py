@@ -91,7 +91,8 @@ class BarImagingChain:
     @cached_property
     def transmission(self) -> NDArray[np.complexfloating]:
         """Complex transmission of the object."""
-        from wavesim.fields.coverage import bar_rectangles, rectangle_coverage
+        from wavesim.fields.coverage import rectangle_coverage
+        from wavesim.targets.bars import bar_rectangles
         from wavesim.targets.patterns import with_polarity
 
         width = 1e-3 * self.line_width_um

@@ -232,11 +232,12 @@ def _colours(imaged: Imaged) -> dict[str, Any]:
 def _finest(imaged: Imaged) -> dict[str, Any]:
     """Describe the finest element of a chart, and the reason why it has no finer ones."""
     from wavesim.metrics.charts import chart_end
+    from wavesim.scene.scene import diffraction_limit_um
 
     elements = imaged.target.elements
     if not elements:
         return {}
-    passed_um = 0.5 * imaged.patch.wavelength_um / imaged.engine.scene.lens.object.numerical_aperture
+    passed_um = diffraction_limit_um(imaged.engine.scene.lens, imaged.patch.wavelength_um)
     return {
         "finest_line_um": min(one.line_width_um for one in elements),
         "finest_limited_by": chart_end(elements, 1e3 * imaged.patch.grid.pitch_mm),

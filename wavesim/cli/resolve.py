@@ -12,7 +12,7 @@ from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.progress import progress_count
-from lensdesign.common.text import decimals_text
+from lensdesign.common.text import decimals_text, finite_or_none
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import (
@@ -225,8 +225,8 @@ def _plain_value(text: str) -> int | float | str:
 
 
 def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dict[str, Any]:
-    def table(name: str) -> list[list[float]]:
-        return [[getattr(line, name) for line in result.lines] for result in results]
+    def table(name: str) -> list[list[float | None]]:
+        return [[finite_or_none(getattr(line, name)) for line in result.lines] for result in results]
 
     return {
         "design": title,
@@ -251,7 +251,7 @@ def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dic
 
 
 def _print_resolved(results: list[Any]) -> None:
-    from wavesim.metrics.contrast import RESOLVED_CONTRAST
+    from wavesim.targets.bars import RESOLVED_CONTRAST
 
     first = results[0]
     settings = settings_text(first.settings)

@@ -10,7 +10,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError, validate_positive
-from wavesim.fields.field import Grid, Orientation, axis_of
+from wavesim.fields.field import Grid
 
 SAMPLES_PER_FEATURE = 2.0
 """Fewest samples across the narrowest feature of an object. Fewer samples would not resolve it."""
@@ -38,24 +38,6 @@ def rectangle(centre_mm: tuple[float, float], width_mm: float, height_mm: float)
     """Return the rectangle with a centre (x, y), a width along x and a height along y."""
     x, y = centre_mm
     return Rectangle(x - 0.5 * width_mm, x + 0.5 * width_mm, y - 0.5 * height_mm, y + 0.5 * height_mm)
-
-
-def bar_rectangles(
-    line_width_mm: float,
-    bars: int,
-    orientation: Orientation,
-    centre_mm: tuple[float, float],
-    length_mm: float,
-) -> tuple[Rectangle, ...]:
-    """Return parallel bars with gaps of their own width about a centre (x, y), as in a resolution target."""
-    axis = axis_of(orientation)
-    made = []
-    for bar in range(bars):
-        middle = list(centre_mm)
-        middle[axis] += 2.0 * line_width_mm * (bar - 0.5 * (bars - 1))
-        sides = (line_width_mm, length_mm) if axis == 0 else (length_mm, line_width_mm)
-        made.append(rectangle((middle[0], middle[1]), *sides))
-    return tuple(made)
 
 
 def rectangle_coverage(grid: Grid, rectangles: Iterable[Rectangle]) -> Array:

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import io
 import logging
-import math
-import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,7 +32,7 @@ MOST_PIXELS = 2**27
 MOST_PICTURES = 10_000
 """Largest number of pictures in a file."""
 
-ORIENTATION, PHOTOMETRIC, SOFTWARE = 274, 262, 305
+ORIENTATION, PHOTOMETRIC = 274, 262
 """TIFF tags; EXIF also has the first one."""
 
 Kind = Literal["grey", "palette", "colours"]
@@ -123,11 +122,11 @@ class PictureFile:
         data = read_input(path, 4 * TABLE_BYTES, InputError, named)
         # First bytes of a TIFF and of a BigTIFF file.
         tiff_starts = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-        with self._reported():
+        with self._reported() as errors:
             if data[:4] not in tiff_starts:
                 self._pictures: _Pictures = _PillowPictures(data, formats)
             elif formats is None or "TIFF" in formats:
-                self._pictures = _TiffPictures(data)
+                self._pictures = _TiffPictures(data, errors)
             else:
                 raise InputError(f"{self._who}: is a TIFF; allowed: {', '.join(formats)}")
         self.count, self.description = self._pictures.count, self._pictures.description
@@ -163,10 +162,7 @@ class PictureFile:
         with self._reported():
             stored = self._pictures.stored(index)
             samples, bits = stored.samples, stored.bits
-            kind: Kind = "grey" if samples.ndim == 2 and stored.palette is None else "colours"
-            states_alpha, is_opaque = stored.states_alpha, not stored.states_alpha or stored.is_opaque
-            if stored.palette is not None:
-                kind, samples = "palette", stored.palette[samples]
+            kind: Kind = "palette" if stored.has_palette else "grey" if samples.ndim == 2 else "colours"
             if samples.ndim == 3:
                 samples = _luma(samples) if channel is None else samples[..., channel]
             dtype = samples.dtype
@@ -180,8 +176,8 @@ class PictureFile:
                 values=upright(samples, stored.orientation),
                 full_scale=stored.full_scale or full_scale,
                 white_is_zero=stored.white_is_zero,
-                is_opaque=is_opaque,
-                states_alpha=states_alpha,
+                is_opaque=stored.is_opaque,
+                states_alpha=stored.states_alpha,
             )
 
     @property
@@ -189,15 +185,18 @@ class PictureFile:
         return f"{self._named.removeprefix('the ')} {self.path}" if self._named else str(self.path)
 
     @contextmanager
-    def _reported(self) -> Iterator[None]:
-        """Convert all exceptions of the readers to an InputError that names the file."""
+    def _reported(self) -> Iterator[list[str]]:
+        """Convert all exceptions of the readers to an InputError that names the file.
+
+        tifffile logs errors that it does not raise. They are collected in a list, and not shown.
+        """
         from PIL import Image, UnidentifiedImageError
 
         start = f"cannot read {self._named} {self.path}: " if self._named else f"{self.path}: "
-        with warnings.catch_warnings(), _without_log():
+        with warnings.catch_warnings(), _logged_errors() as errors:
             warnings.simplefilter("ignore")
             try:
-                yield
+                yield errors
             except _UnsupportedError as error:
                 raise InputError(f"{self._who}: {error}") from None
             except InputError:
@@ -226,11 +225,11 @@ class _Stored:
     format: str
     samples: NDArray[Any]
     bits: int
-    palette: NDArray[Any] | None = None
     orientation: int = 1
     white_is_zero: bool = False
     states_alpha: bool = False
     is_opaque: bool = True
+    has_palette: bool = False
     full_scale: int = 0
 
 
@@ -262,24 +261,17 @@ class _PillowPictures:
                 image.seek(index)
             png_depth_at = 24
             bits = self._data[png_depth_at] if image.format == "PNG" else 8
-            states_alpha = image.mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info
-            palette = None
-            if image.mode in ("1", "L", "I;16", "I;16L", "I;16B", "I", "F"):
-                samples = np.asarray(image)
-            elif image.mode == "P":
-                palette, samples = np.zeros((256, 3), np.uint8), np.asarray(image)
-                colours = np.asarray(image.getpalette("RGB"), np.uint8).reshape(-1, 3)
-                palette[: len(colours)] = colours
-            else:
-                samples = np.asarray(image.convert("L" if image.mode in ("LA", "La") else "RGB"))
+            is_grey = image.mode in ("1", "L", "I;16", "I;16L", "I;16B", "I", "F")
+            mode = "L" if image.mode in ("LA", "La") else "RGB"
+            samples = np.asarray(image if is_grey else image.convert(mode))
             return _Stored(
                 image.format or "",
                 samples,
                 bits,
-                palette,
                 self._orientation,
-                states_alpha=states_alpha,
-                is_opaque=not states_alpha or _is_opaque(image),
+                states_alpha=image.has_transparency_data,
+                is_opaque=not image.has_transparency_data or _is_opaque(image),
+                has_palette=image.mode == "P",
                 # Pillow converts counts of fewer bits to 8 bits.
                 full_scale=0 if samples.dtype.kind in "bf" else int(np.iinfo(samples.dtype).max),
             )
@@ -288,13 +280,11 @@ class _PillowPictures:
 class _TiffPictures:
     """Pictures of a TIFF, which tifffile reads."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, errors: list[str]) -> None:
         from tifffile import TiffFile
 
-        self._file = TiffFile(io.BytesIO(data))
-        self._contiguous: NDArray[Any] | None = None
+        file = TiffFile(io.BytesIO(data))
         self.remark = ""
-        file = self._file
         _check_pictures(len(file.pages))
         directories: list[Any] = [file.pages[n].aspage() for n in range(len(file.pages))]
         whole = [own for own in directories if not own.is_reduced] or directories[:1]
@@ -307,48 +297,52 @@ class _TiffPictures:
         self.count = len(self._places)
         if self.count > len(whole):
             self.remark = " (or the planes of colours, which tifffile stores alike)"
-        stated = max(_stated_pictures(file, first), _imagej_pictures(self.description))
-        if stated > self.count:
-            if len(directories) > 1:
+        series: list[Any] = [one for one in file.series if not one.keyframe.is_reduced]
+        if any("series" in error for error in errors):
+            raise _UnsupportedError("is damaged: its metadata contradict its pictures; save the file again")
+        size = int(first.imagelength * first.imagewidth * first.samplesperpixel)
+        stated = sum(one.size for one in series if one.keyframe.shape == first.shape) // size
+        # Several pictures of which only the first has a directory.
+        self._series: Any = series[0] if stated > self.count else None
+        if self._series is not None:
+            if len(directories) > 1 or int(first.samplesperpixel) != 1:
                 raise _UnsupportedError(
                     f"states that it contains {stated} pictures, but contains {self.count}; save the file "
                     "again"
                 )
             _check_pictures(stated)
-            self.count, self._contiguous = stated, _contiguous(file, first, stated)
+            self.count = stated
+
+    @cached_property
+    def _stack(self) -> NDArray[Any]:
+        return np.asarray(self._series.asarray())
 
     def stored(self, index: int) -> _Stored:
         """Return a picture by its index."""
-        page, plane = self._places[0 if self._contiguous is not None else index]
-        bits = int(page.bitspersample)
-        orientation = int(page.tags[ORIENTATION].value) if ORIENTATION in page.tags else 1
-        white_is_zero = int(page.tags[PHOTOMETRIC].value) == 0
-        if self._contiguous is not None:
-            if not len(self._contiguous):
-                raise _UnsupportedError(
-                    f"states that it contains {self.count} pictures, but only the first can be found; save "
-                    "the file again"
-                )
-            samples = self._contiguous[index]
-            return _Stored("TIFF", samples, bits, None, orientation, white_is_zero)
-        samples = page.asarray()
-        channels = int(page.samplesperpixel)
+        page, plane = self._places[index if self._series is None else 0]
+        bits, channels = int(page.bitspersample), int(page.samplesperpixel)
+        about = (bits, int(page.tags.valueof(ORIENTATION, 1)))
+        white_is_zero = int(page.photometric) == 0
         shape = (int(page.imagelength), int(page.imagewidth))
+        if self._series is not None:
+            return _Stored("TIFF", self._stack.reshape(self.count, *shape)[index], *about, white_is_zero)
+        samples = page.asarray()
         if plane is not None:
-            return _Stored("TIFF", samples.reshape(channels, *shape)[plane], bits, None, orientation)
+            return _Stored("TIFF", samples.reshape(channels, *shape)[plane], *about)
         if channels == 1:
-            samples, palette, scale = samples.reshape(shape), None, 0
-            if int(page.photometric) == _PALETTE and page.colormap is not None:
-                palette, scale = (np.asarray(page.colormap) >> 8).astype(np.uint8).T, 255
-            return _Stored("TIFF", samples, bits, palette, orientation, white_is_zero, full_scale=scale)
+            samples = samples.reshape(shape)
+            if int(page.photometric) != _PALETTE or page.colormap is None:
+                return _Stored("TIFF", samples, *about, white_is_zero)
+            palette = (np.asarray(page.colormap) >> 8).astype(np.uint8).T
+            return _Stored("TIFF", palette[samples], *about, has_palette=True, full_scale=255)
         if int(page.planarconfig) == _SEPARATE:
             samples = np.moveaxis(samples.reshape(channels, *shape), 0, -1)
         samples = samples.reshape(*shape, channels)
         colours = 1 if int(page.photometric) in (0, 1) else 3
         states_alpha = channels > colours
-        is_opaque = not states_alpha or bool(np.all(samples[..., colours:] == 2**bits - 1))
+        is_opaque = bool(np.all(samples[..., colours:] == 2**bits - 1))
         samples = samples[..., 0] if colours == 1 else samples[..., :3]
-        return _Stored("TIFF", samples, bits, None, orientation, white_is_zero, states_alpha, is_opaque)
+        return _Stored("TIFF", samples, *about, white_is_zero, states_alpha, is_opaque)
 
 
 _Pictures = _PillowPictures | _TiffPictures
@@ -376,14 +370,14 @@ def _check_page(page: Any, file_bytes: int) -> None:
         raise _UnsupportedError(
             "a TIFF without its photometric tag, which states whether black or white is zero"
         )
-    photometric = int(page.tags[PHOTOMETRIC].value)
+    photometric = int(page.photometric)
     supported = (0, 1, 2, _PALETTE, _YCBCR)
     if photometric not in supported or (photometric == _YCBCR and int(page.compression) not in _JPEG):
         raise _UnsupportedError(
             f"a TIFF of photometric interpretation {photometric}: must be grey, RGB or with a palette"
         )
     most_channels = 4
-    channels, depth = int(page.samplesperpixel), int(getattr(page, "imagedepth", 1) or 1)
+    channels, depth = int(page.samplesperpixel), int(page.imagedepth)
     if not 1 <= channels <= most_channels or page.dtype is None:
         raise _UnsupportedError(f"a TIFF with {channels} samples of {page.bitspersample} bits for each pixel")
     _check_size(int(page.imagelength) * depth * channels, int(page.imagewidth))
@@ -407,8 +401,7 @@ def _planes(page: Any) -> list[int] | list[None]:
     """
     if int(page.samplesperpixel) == 1 or int(page.planarconfig) != _SEPARATE:
         return [None]
-    software = str(page.tags[SOFTWARE].value) if SOFTWARE in page.tags else ""
-    is_stack = software.startswith("tifffile") or '"shape": [' in (page.description or "")
+    is_stack = page.software.startswith("tifffile") or page.is_shaped
     return list(range(int(page.samplesperpixel))) if is_stack else [None]
 
 
@@ -443,60 +436,6 @@ def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
     return np.ascontiguousarray(turned[orientation](values) if orientation in turned else values)
 
 
-def _stated_pictures(file: Any, page: Any) -> int:
-    """Return the number of pictures that the metadata of a file state, for files of any program."""
-    try:
-        one = page.imagelength * page.imagewidth * page.samplesperpixel
-        whole = [own for own in file.series if not own.keyframe.is_reduced]
-        found = sum(math.prod(own.shape) for own in whole if own.keyframe.shape == page.shape)
-    except Exception:  # metadata may be damaged or of an unknown version
-        return 1
-    stated = max(1, found // one)
-    depth = int(getattr(page, "imagedepth", 1) or 1)
-    shaped = re.match(r'\s*\{.*"shape":\s*\[([0-9,\s]*)\]', page.description or "")
-    if shaped:
-        sizes = [int(size) for size in shaped[1].split(",") if size.strip()]
-        stated = max(stated, math.prod(sizes) // one if sizes else 1)
-    if file.is_ome:
-        sizes = [int(n) for n in re.findall(r'\bSize[ZCT]="([0-9]+)"', page.description or "")]
-        planes = math.prod(sizes[:3]) if sizes else 1
-        stated = max(stated, planes // max(1, int(page.samplesperpixel)))
-    return max(stated, depth)
-
-
-def _imagej_pictures(description: str) -> int:
-    """Return the number of pictures in ImageJ's text: images, or channels times slices times frames."""
-    if not description.startswith("ImageJ"):
-        return 1
-    held = dict(re.findall(r"^(images|channels|slices|frames)=([0-9]{1,9})\s*$", description, re.MULTILINE))
-    sizes = [max(1, int(held.get(name, 1))) for name in ("channels", "slices", "frames")]
-    return max(int(held.get("images", 1)), math.prod(sizes))
-
-
-def _contiguous(file: Any, page: Any, count: int) -> NDArray[Any]:
-    """Return contiguous pictures of which only the first has a directory."""
-    rows, columns = page.imagelength, page.imagewidth
-    dtype = page.dtype
-    start, each = int(page.dataoffsets[0]), rows * columns * (0 if dtype is None else dtype.itemsize)
-    is_plain = (
-        page.compression == 1
-        and page.samplesperpixel == 1
-        and dtype is not None
-        and page.bitspersample == 8 * dtype.itemsize
-        and page.is_contiguous
-    )
-    file.filehandle.seek(0, 2)
-    held = (int(file.filehandle.tell()) - start) // each if is_plain and each else 1
-    if held < count:
-        # Only callers that accept several pictures need them; the others reject their number.
-        return np.empty((0, rows, columns), np.uint8)
-    file.filehandle.seek(start)
-    data = np.frombuffer(
-        file.filehandle.read(count * each), dtype.newbyteorder(file.byteorder), count * rows * columns
-    )
-    return data.reshape(count, rows, columns).astype(dtype)
-
-
 def _is_opaque(image: Any) -> bool:
     clear = image.info.get("transparency")
     if image.mode in ("L", "I;16", "I", "1") and isinstance(clear, int):
@@ -505,12 +444,17 @@ def _is_opaque(image: Any) -> bool:
 
 
 @contextmanager
-def _without_log() -> Iterator[None]:
-    """Suppress log messages of tifffile, whose content is in the error."""
-    log = logging.getLogger("tifffile")
-    was = log.disabled
-    log.disabled = True
+def _logged_errors() -> Iterator[list[str]]:
+    """Collect the errors that tifffile logs, and suppress all of its messages."""
+    log, errors = logging.getLogger("tifffile"), list[str]()
+
+    def collect(record: logging.LogRecord) -> bool:
+        if record.levelno >= logging.ERROR:
+            errors.append(record.getMessage())
+        return False
+
+    log.addFilter(collect)
     try:
-        yield
+        yield errors
     finally:
-        log.disabled = was
+        log.removeFilter(collect)

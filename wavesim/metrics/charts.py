@@ -25,8 +25,8 @@ from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from wavesim.fields.coverage import ROUNDING, SAMPLES_PER_FEATURE, Rectangle, rectangle_coverage
 from wavesim.fields.field import Field, Grid
-from wavesim.metrics.contrast import RESOLVED_CONTRAST, ElementContrast, bar_contrast
-from wavesim.targets.bar_sets import SetContrast
+from wavesim.metrics.contrast import ElementContrast, bar_contrast
+from wavesim.targets.bars import RESOLVED_CONTRAST, resolved_lines
 from wavesim.targets.patterns import Polarity
 from wavesim.targets.region import around, cut_field, holds, part_of
 from wavesim.targets.usaf import ELEMENTS, GROUPS, UsafElement, chart_outline, usaf_line_width_um
@@ -253,23 +253,16 @@ def chart_resolution(
     outside = len(ordered) - len(in_sight)
 
     def down_to(is_resolved: Callable[[ElementContrast], bool]) -> UsafElement | None:
-        finest = None
-        for one in contrasts:
-            if not is_resolved(one):
-                break
-            finest = one.element
-        return finest
-
-    def stands_out(one: SetContrast) -> bool:
-        return one.contrast >= threshold and one.weakest_contrast > 0.0
+        kept = resolved_lines(contrasts, is_resolved)
+        return kept[-1].element if kept else None
 
     finest = down_to(lambda one: one.resolved(threshold))
     next_um, limits = _limits(finest, contrasts, ordered, sample_um, passed_um)
     return ChartResolution(
         contrasts,
         finest,
-        down_to(lambda one: stands_out(one.x)),
-        down_to(lambda one: stands_out(one.y)),
+        down_to(lambda one: one.x.resolved(threshold)),
+        down_to(lambda one: one.y.resolved(threshold)),
         limits,
         found,
         outside,

@@ -18,15 +18,28 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_choice
 from wavesim.fields.coverage import validate_sampling
-from wavesim.fields.field import Field, Grid
+from wavesim.fields.field import Field, Grid, Orientation
 from wavesim.metrics.similarity import Mask, Picture
 from wavesim.runtime.threads import row_blocks
-from wavesim.targets.bar_sets import SetContrast, set_contrast
+from wavesim.targets.bars import (
+    RESOLVED_CONTRAST,
+    BarContrast,
+    bar_contrasts,
+    bar_levels,
+    bar_profile,
+    resolved_lines,
+)
 from wavesim.targets.patterns import Polarity
-from wavesim.targets.usaf import UsafElement
+from wavesim.targets.usaf import BARS, UsafElement
 
-RESOLVED_CONTRAST = 0.2
-"""Least contrast of resolved lines, as in `smallest_resolved_line_width_um`."""
+
+@dataclass(frozen=True, eq=False)
+class SetContrast(BarContrast):
+    """Contrast and profile of one set of three bars, see :func:`wavesim.targets.bars.bar_profile`."""
+
+    # Coordinate across the bars from the set's centre, and mean along the bars, shape (n,).
+    across_um: Array
+    intensity: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +69,7 @@ class ElementContrast:
         Reversed lines have a negative contrast. Two bars instead of three have a negative weakest contrast.
         Neither is resolved.
         """
-        return all(one.contrast >= threshold and one.weakest_contrast > 0.0 for one in (self.x, self.y))
+        return self.x.resolved(threshold) and self.y.resolved(threshold)
 
 
 def bar_contrast(
@@ -96,9 +109,15 @@ def bar_contrast(
     validate_choice("ground", ground, ("bright", "dark"))
     name = f"lines (group {element.group}, element {element.element})"
     validate_sampling(grid, element.line_width_um, name)
-    return ElementContrast(
-        element, *(set_contrast(intensity, grid, element, way, ground) for way in ("x", "y"))
-    )
+
+    def contrast_of(orientation: Orientation) -> SetContrast:
+        centre_mm = element.set_centre_mm(orientation)
+        shown = (intensity, grid, 1e-3 * element.line_width_um, BARS, orientation, centre_mm)
+        bars, gaps = bar_levels(*shown)
+        bright, dark = (bars, gaps) if ground == "dark" else (gaps, bars)
+        return SetContrast(*bar_contrasts(bright, dark), *bar_profile(*shown))
+
+    return ElementContrast(element, contrast_of("x"), contrast_of("y"))
 
 
 def element_contrasts(
@@ -138,12 +157,8 @@ def resolved_elements(
     """
     if not 0.0 < threshold < 1.0:
         raise InputError(f"threshold = {threshold!r}: must lie between 0 and 1")
-    kept: list[ElementContrast] = []
-    for one in sorted(contrasts, key=lambda one: -one.element.line_width_um):
-        if not one.resolved(threshold):
-            break
-        kept.append(one)
-    return tuple(kept)
+    ordered = sorted(contrasts, key=lambda one: -one.element.line_width_um)
+    return tuple(resolved_lines(ordered, lambda one: one.resolved(threshold)))
 
 
 def smallest_resolved_element(

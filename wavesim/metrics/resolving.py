@@ -22,11 +22,18 @@ from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import PlaneWaves, phasor_of
-from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.scene.engine import Engine
 from wavesim.scene.patches import exit_grid
-from wavesim.scene.scene import Scene, wavelength_of
+from wavesim.scene.scene import Scene, diffraction_limit_um, wavelength_of
+from wavesim.targets.bars import (
+    RESOLVED_CONTRAST,
+    BarContrast,
+    bar_and_gap_centres,
+    bar_contrasts,
+    bar_coverage,
+    resolved_lines,
+)
 
 ComplexArray = NDArray[np.complex128]
 
@@ -47,24 +54,19 @@ def usual_line_widths_um(lens: Lens, wavelength_um: float | None = None) -> list
     return [float(f"{math.ceil(finest * 3.0 ** (k / 9.0) / digit - 1e-6) * digit:.4g}") for k in range(10)]
 
 
-def diffraction_limit_um(lens: Lens, wavelength_um: float) -> float:
-    """Return the width in um of the finest lines that the aperture transmits, wavelength / 2 NA."""
-    return 0.5 * wavelength_um / lens.object.numerical_aperture
-
-
 @dataclass(frozen=True)
-class LineContrast:
+class LineContrast(BarContrast):
     """Contrast of reconstructed lines of one width.
 
     Attributes
     ----------
-    line_width_um : float
-        Width of a bar and of a gap in um.
     contrast : float
         (bright - dark) / (bright + dark) at the centres of bars and gaps, after refocus and registration. It
         is negative where bright and dark are reversed.
     weakest_contrast : float
         The same contrast of the darkest bar and the brightest gap.
+    line_width_um : float
+        Width of a bar and of a gap in um.
     contrast_as_is : float
         The same contrast without refocus and registration.
     contrast_of_reference : float
@@ -78,18 +80,12 @@ class LineContrast:
     """
 
     line_width_um: float
-    contrast: float
-    weakest_contrast: float
     contrast_as_is: float
     contrast_of_reference: float
     refocus_um: float
     shift_um: float
     exit_correlation: float
     profile: Array = field(repr=False, compare=False)
-
-    def resolved(self, threshold: float = RESOLVED_CONTRAST) -> bool:
-        """Return True if the lines reach a contrast and every bar is brighter than every gap."""
-        return self.contrast >= threshold and self.weakest_contrast > 0.0
 
 
 @dataclass(frozen=True)
@@ -125,12 +121,9 @@ class Resolved:
 
         Finer lines that reach the threshold again are false resolution and do not count.
         """
-        found = None
-        for line in sorted(self.lines, key=lambda one: -one.line_width_um):
-            if not line.resolved(threshold):
-                break
-            found = line.line_width_um
-        return found
+        ordered = sorted(self.lines, key=lambda one: -one.line_width_um)
+        kept = resolved_lines(ordered, lambda one: one.resolved(threshold))
+        return kept[-1].line_width_um if kept else None
 
     def limit(self, threshold: float = RESOLVED_CONTRAST) -> LineLimit:
         """Return the reason why no finer lines are resolved.
@@ -280,13 +273,9 @@ def bars_field(grid: Grid, wavelength_um: float, line_width_um: float, bars: int
 
     A sample at the edge of a bar has the fraction of its cell that the bar covers.
     """
-    width = 1e-3 * line_width_um
-    borders = grid.centre_mm[1] + grid.pitch_mm * (np.arange(grid.size + 1) - 0.5 * grid.size)
-    place = (borders - grid.centre_mm[1]) / (2.0 * width) + 0.5 * (bars - 0.5)
-    place = np.clip(place, 0.0, bars)
-    whole = np.floor(place)
-    covered = np.diff(width * (whole + np.minimum(2.0 * (place - whole), 1.0)))
-    return Field(grid, (covered / grid.pitch_mm).astype(complex), wavelength_um)
+    samples_mm = grid.y_mm - grid.centre_mm[1]
+    covered = bar_coverage(samples_mm, grid.pitch_mm, 1e-3 * line_width_um, bars)
+    return Field(grid, covered.astype(complex), wavelength_um)
 
 
 def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: int) -> None:
@@ -343,21 +332,11 @@ def contrasts_of(
     grid: Grid, line_width_um: float, bars: int
 ) -> Callable[[ComplexArray], tuple[float, float]]:
     """Return the contrasts of a field: that of the means of bars and gaps, and that of the weakest pair."""
-    y = grid.y_mm - grid.centre_mm[1]
-    width = 1e-3 * line_width_um
-    middles = width * (2.0 * np.arange(bars) - (bars - 1))
-    gaps = 0.5 * (middles[1:] + middles[:-1])
-
-    def michelson(bright: float, dark: float) -> float:
-        return (bright - dark) / (bright + dark) if bright + dark > 0.0 else 0.0
+    y, centres = grid.y_mm - grid.centre_mm[1], bar_and_gap_centres(1e-3 * line_width_um, bars)
 
     def contrasts(values: ComplexArray) -> tuple[float, float]:
-        intensity = np.abs(values) ** 2
-        bright, dark = np.interp(middles, y, intensity), np.interp(gaps, y, intensity)
-        return (
-            michelson(float(bright.mean()), float(dark.mean())),
-            michelson(float(bright.min()), float(dark.max())),
-        )
+        intensity = np.interp(centres, y, np.abs(values) ** 2)
+        return bar_contrasts(intensity[:bars], intensity[bars:])
 
     return contrasts
 

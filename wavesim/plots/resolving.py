@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from lensdesign.errors import InputError
 from lensdesign.plots.style import GREY, SERIES, in_style, styled_figure
-from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.metrics.resolving import Resolved
 from wavesim.plots.panels import title_figure
+from wavesim.targets.bars import RESOLVED_CONTRAST
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

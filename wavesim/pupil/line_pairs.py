@@ -13,8 +13,11 @@ that contrast which they reverse remains visible.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate, repeat
+from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +32,7 @@ from wavesim.pupil.pupil import (
     plane_waves,
     validate_pupil_width,
 )
+from wavesim.targets.bars import bar_and_gap_centres, bar_centres, michelson, resolved_lines
 
 
 def line_pair_contrast(
@@ -78,8 +82,7 @@ def line_pair_contrast(
     moved = plane_waves(pupil.grid.axes[axis], np.array([displacement]), pupil.wavelength_um)[0]
     line = _along(pupil.function, axis) @ target.length_spectrum
     intensity = np.abs(target.kernel @ (moved * line)) ** 2
-    bright, dark = intensity[:bars].mean(), intensity[bars:].mean()
-    return float((bright - dark) / (bright + dark))
+    return michelson(float(intensity[:bars].mean()), float(intensity[bars:].mean()))
 
 
 def line_pair_displacement_um(
@@ -217,11 +220,10 @@ def smallest_resolved_line_width_um(
     """
     if not 0.0 < limit < 1.0:
         raise InputError(f"limit = {limit:g}: must lie between 0 and 1")
-    width, smallest = 2.0 * pupil.wavelength_um / pupil.grid.half_width, np.inf
-    while line_pair_contrast(pupil, width, orientation, bars) >= limit:
-        smallest = width
-        width *= 0.98
-    return float(smallest)
+    widest = 2.0 * pupil.wavelength_um / pupil.grid.half_width
+    widths = accumulate(repeat(0.98), mul, initial=widest)
+    kept = resolved_lines(widths, lambda width: line_pair_contrast(pupil, width, orientation, bars) >= limit)
+    return float(kept[-1]) if kept else math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,11 +256,10 @@ def _target(grid: PupilGrid, width_um: float, axis: int, bars: int) -> _Target:
     )
     cosines = grid.axes[axis]
     bar_spectrum = _bar_spectrum(grid, width_um, axis, bars, whole=False)
-    places = width_um * np.append(np.arange(bars) - 0.5 * (bars - 1), np.arange(bars - 1) - 0.5 * (bars - 2))
     return _Target(
         bar_spectrum=bar_spectrum,
         length_spectrum=_bar_spectrum(grid, width_um, 1 - axis, bars, whole=True),
-        kernel=plane_waves(cosines, 2.0 * places, grid.wavelength_um) * bar_spectrum,
+        kernel=plane_waves(cosines, bar_and_gap_centres(width_um, bars), grid.wavelength_um) * bar_spectrum,
         order_weights=bar_spectrum**2 * (np.abs(cosines) < 0.75 * grid.wavelength_um / width_um),
     )
 
@@ -273,8 +274,7 @@ def _bar_spectrum(grid: PupilGrid, width_um: float, axis: int, bars: int, *, who
     if whole:
         length = (2 * bars - 1) * width_um
         return np.asarray(scale * length * np.sinc(frequency * length))
-    middles = 2.0 * width_um * (np.arange(bars) - 0.5 * (bars - 1))
-    comb = np.cos(2.0 * np.pi * np.outer(middles, frequency)).sum(axis=0)
+    comb = np.cos(2.0 * np.pi * np.outer(bar_centres(width_um, bars), frequency)).sum(axis=0)
     return np.asarray(scale * width_um * np.sinc(frequency * width_um) * comb)
 
 

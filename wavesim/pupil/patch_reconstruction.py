@@ -17,6 +17,7 @@ from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.focus import axial_path
 from wavesim.pupil.patch_rays import AimedRays, NominalRays
 from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil, plane_waves, refocus, remove_shift
+from wavesim.targets.bars import bar_coverage
 
 Registration = Literal["none", "shift", "focus"]
 
@@ -69,18 +70,11 @@ class PatchGrid:
                 f"line_width_um = {line_width_um!r}: {bars} bars and their gaps must be above 0 wide and fit "
                 f"into the patch of {self.side_um:g} µm"
             )
-        starts = 2.0 * line_width_um * np.arange(bars) - 0.5 * length
-        across = np.sum([self._covered(start, start + line_width_um) for start in starts], axis=0)
+        across = bar_coverage(self.coordinates_um, self.pitch_um, line_width_um, bars)
         if self.line:
             return np.asarray(across, complex)
-        along = self._covered(-0.5 * length, 0.5 * length)
+        along = bar_coverage(self.coordinates_um, self.pitch_um, length, 1)
         return np.asarray(np.outer(along, across) if axis == 0 else np.outer(across, along), complex)
-
-    def _covered(self, low_um: float, high_um: float) -> Array:
-        """Return the fraction of each sample's cell that lies between two borders."""
-        middle, half = self.coordinates_um, 0.5 * self.pitch_um
-        overlap = np.minimum(middle + half, high_um) - np.maximum(middle - half, low_um)
-        return np.maximum(overlap, 0.0) / self.pitch_um
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,7 @@ from wavesim.pupil.patch_reconstruction import PatchGrid, PerturbedPatch, Recons
 from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil
 from wavesim.scene.engine import ErrorTerm
 from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
+from wavesim.targets.bars import bar_and_gap_centres, michelson
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,12 +296,9 @@ def _contrast_of(
     moved = reconstructed.displacement_um(
         orientation, 0.75 * reconstructed.patch.wavelength_um / line_width_um
     )
-    count = 2 * bars - 1
-    across = np.asarray(line_width_um * (np.arange(count) - 0.5 * (count - 1)) + moved, float)
-    centre = np.zeros(1)
+    across, centre = bar_and_gap_centres(line_width_um, bars) + moved, np.zeros(1)
     field = (
         reconstructed.at(across, centre) if axis_of(orientation) == 0 else reconstructed.at(centre, across)
     )
-    rows = np.abs(field.reshape(count)) ** 2
-    bright, dark = rows[0::2].mean(), rows[1::2].mean()
-    return float((bright - dark) / (bright + dark)) if bright + dark > 0.0 else 0.0
+    intensity = np.abs(field.ravel()) ** 2
+    return michelson(float(intensity[:bars].mean()), float(intensity[bars:].mean()))

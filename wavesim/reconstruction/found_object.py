@@ -17,6 +17,7 @@ from wavesim.metrics.result_quality import chart_metrics, plane_metrics
 from wavesim.reconstruction.oversampling import measured_oversampling
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine
+from wavesim.scene.scene import diffraction_limit_um
 from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings
 from wavesim.sensor.frame_sets import PlaneFrames
 from wavesim.sensor.measurement import Measurement
@@ -187,7 +188,7 @@ class FoundObject:
         """Return contrast and finest resolved element of each chart."""
         if not self.charts or self.settings.usaf is None:
             return {}
-        coherent_limit_um = 0.5 * self.patch.wavelength_um / self.engine.scene.lens.object.numerical_aperture
+        coherent_limit_um = diffraction_limit_um(self.engine.scene.lens, self.patch.wavelength_um)
         polarity = self.settings.usaf
         middle, *others = (
             chart_metrics(self.transmission, chart, polarity, coherent_limit_um, self.inside)

@@ -186,3 +186,8 @@ def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     validate_positive("wavelength_um", wavelength)
     return wavelength
+
+
+def diffraction_limit_um(lens: Lens, wavelength_um: float) -> float:
+    """Return the width in um of the finest lines that the aperture transmits, wavelength / 2 NA."""
+    return 0.5 * wavelength_um / lens.object.numerical_aperture

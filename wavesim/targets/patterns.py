@@ -1,4 +1,4 @@
-"""Test objects on a grid: bars, a Siemens star, phase pads, pictures from files, and their band limit.
+"""Test objects on a grid: a Siemens star, phase pads, pictures from files, and their band limit.
 
 An object is given by its complex transmission with one value for each cell of a plane grid, the mean over the
 cell. A cell that an edge crosses therefore has a value between those on its two sides. Rows lie along y,
@@ -27,7 +27,6 @@ from lensdesign.errors import (
 from wavesim.fields.coverage import (
     ROUNDING,
     Rectangle,
-    bar_rectangles,
     disc_coverage,
     half_plane_coverage,
     rectangle,
@@ -36,10 +35,11 @@ from wavesim.fields.coverage import (
     validate_sampling,
     validate_two_dimensional,
 )
-from wavesim.fields.field import Grid, Orientation
+from wavesim.fields.field import Grid
 from wavesim.fields.picture_files import PictureFile
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.runtime.threads import row_blocks
+from wavesim.targets.bars import bar_rectangles
 
 ComplexArray = NDArray[np.complex128]
 Polarity = Literal["bright", "dark"]
@@ -57,48 +57,6 @@ def with_polarity(coverage: Array, polarity: Polarity) -> ComplexArray:
     """
     validate_choice("polarity", polarity, ("bright", "dark"))
     return np.asarray(coverage if polarity == "dark" else 1.0 - coverage, complex)
-
-
-def line_pairs(
-    grid: Grid,
-    line_width_um: float,
-    orientation: Orientation = "x",
-    bars: int = 5,
-    polarity: Polarity = "dark",
-) -> ComplexArray:
-    """Return a square of bars at the grid's centre. Bars are as long as all bars and gaps are wide.
-
-    Parameters
-    ----------
-    grid
-        Grid of the object plane.
-    line_width_um
-        Width of a bar and of a gap (um); the period is twice this width.
-    orientation
-        Axis along which the bars are repeated.
-    bars
-        Number of bars, at least 2.
-    polarity
-        "dark" for clear bars on a dark field, "bright" for opaque bars on a bright field.
-
-    Returns
-    -------
-    ndarray, shape (ny, nx)
-        Complex transmission of each cell.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range, or the bars reach beyond the grid.
-    SamplingError
-        If the bars are narrower than two samples.
-    """
-    validate_positive("line_width_um", line_width_um)
-    validate_sampling(grid, line_width_um, "bars")
-    validate_whole_number("bars", bars, 2)
-    width = 1e-3 * line_width_um
-    shapes = bar_rectangles(width, bars, orientation, grid.centre_mm, (2 * bars - 1) * width)
-    return with_polarity(rectangle_coverage(grid, shapes), polarity)
 
 
 def siemens_star(

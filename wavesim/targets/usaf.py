@@ -17,12 +17,12 @@ from lensdesign.errors import InputError, SamplingError, validate_positive
 from wavesim.fields.coverage import (
     SAMPLES_PER_FEATURE,
     Rectangle,
-    bar_rectangles,
     rectangle_coverage,
     validate_sampling,
     validate_two_dimensional,
 )
 from wavesim.fields.field import Grid, Orientation, axis_of
+from wavesim.targets.bars import bar_rectangles
 from wavesim.targets.patterns import ComplexArray, Polarity, with_polarity
 
 GROUPS = range(4, 11)

@@ -23,8 +23,8 @@ from wavesim import (
     refocus,
     resolve,
 )
-from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.pupil import line_pair_image, remove_shift
+from wavesim.targets.bars import RESOLVED_CONTRAST
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

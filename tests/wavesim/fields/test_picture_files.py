@@ -70,6 +70,21 @@ def test_a_stack_of_imagej_with_one_directory_is_a_stack(name: str) -> None:
         read_frame(GOLDEN / "imagej_one_ifd" / name, **STATED)
 
 
+def test_a_stack_that_states_more_pictures_than_it_contains_is_refused(tmp_path: Path) -> None:
+    one = random_picture()
+    text = "ImageJ=1.11a\nimages=3\nslices=3\n"
+    tifffile.imwrite(tmp_path / "a.tif", one, description=text, metadata=None)
+    with pytest.raises(InputError, match=r"a\.tif: is damaged: its metadata contradict its pictures"):
+        read_map(tmp_path / "a.tif")
+
+
+def test_a_volume_is_a_stack(tmp_path: Path) -> None:
+    stack = np.stack([random_picture(), random_picture()[::-1]])
+    layout = {"volumetric": True, "tile": (16, 16, 16), "photometric": "minisblack"}
+    tifffile.imwrite(tmp_path / "a.tif", stack, compression="zlib", **layout)
+    np.testing.assert_allclose(read_map(tmp_path / "a.tif"), stack.mean(axis=0))
+
+
 def test_a_shaped_file_of_three_pictures_is_a_stack(tmp_path: Path) -> None:
     stack = np.stack([random_picture()] * 3)
     tifffile.imwrite(tmp_path / "a.tif", stack, photometric="minisblack")

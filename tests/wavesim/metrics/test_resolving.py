@@ -98,7 +98,7 @@ def test_vertical_compensation_loses_the_lines_that_oblique_keeps() -> None:
 
 def line(width_um: float, contrast: float, weakest: float | None = None) -> LineContrast:
     least = contrast if weakest is None else weakest
-    return LineContrast(width_um, contrast, least, contrast, 1.0, 0.0, 0.0, 1.0, np.empty(0))
+    return LineContrast(contrast, least, width_um, contrast, 1.0, 0.0, 0.0, 1.0, np.empty(0))
 
 
 def outcome(*lines: LineContrast, field_mm: float = 0.0, engine: str = "eikonal") -> Resolved:

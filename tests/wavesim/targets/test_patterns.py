@@ -13,9 +13,9 @@ from PIL import Image
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.coverage import Rectangle, disc_coverage, half_plane_coverage, rectangle_coverage
 from wavesim.fields.field import Grid, relative_error
+from wavesim.targets.bars import bar_rectangles
 from wavesim.targets.patterns import (
     band_limit,
-    line_pairs,
     phase_pads,
     phase_target,
     picture_target,
@@ -184,23 +184,6 @@ def test_groups_that_are_no_neighbours_of_the_chart_are_refused(groups: tuple[in
         usaf_elements(groups)
 
 
-@pytest.mark.parametrize("bars", [2, 3, 5])
-def test_line_pairs_have_their_area_period_and_symmetry(bars: int) -> None:
-    width = 5.3
-    along_x = line_pairs(GRID, width, "x", bars)
-    assert along_x.real.sum() * GRID.cell == pytest.approx(bars * (2 * bars - 1) * (1e-3 * width) ** 2)
-    np.testing.assert_allclose(along_x, along_x[::-1, ::-1], atol=1e-12)
-    square = Grid((200, 200), 1e-3, -1.0)
-    along_x, along_y = (line_pairs(square, width, way, bars) for way in ("x", "y"))
-    np.testing.assert_allclose(along_x, along_y.T, atol=1e-12)
-    profile = along_x.real.sum(axis=0)
-    cycles = np.exp(-1j * math.pi * square.x_mm / (1e-3 * width))
-    # Summed over the bars, the order of their own period is bars * 2 width / pi but for the cells' own sinc.
-    length = (2 * bars - 1) * 1e-3 * width
-    expected = bars * 2e-3 * width / math.pi * length * np.sinc(0.5 * 1.0 / width)
-    assert abs(profile @ cycles) * square.cell == pytest.approx(expected, rel=1e-2)
-
-
 def test_a_siemens_star_has_half_its_ring_and_turns_into_its_complement() -> None:
     grid = Grid((401, 401), 1e-3, -1.0)
     star = siemens_star(grid, 18, 0.18, 0.03).real
@@ -243,8 +226,8 @@ def test_smooth_phase_pads_are_clear_and_have_a_quarter_of_the_phase_on_average(
 
 
 def test_a_band_limit_leaves_only_the_aperture_and_is_a_projection() -> None:
-    chart = line_pairs(Grid((256, 256), 0.4e-3, -1.0), 2.0)
     grid = Grid((256, 256), 0.4e-3, -1.0)
+    chart = rectangle_coverage(grid, bar_rectangles(2e-3, 5, "x", grid.centre_mm, 18e-3)).astype(complex)
     limited = band_limit(chart, grid, 0.532, 0.3)
     cycles = np.fft.fftfreq(256, grid.pitch_mm)
     beyond = np.hypot(cycles[:, None], cycles) > 1e3 * 0.3 / 0.532 * (1 + 1e-9)
@@ -341,7 +324,6 @@ def test_pictures_that_are_none_are_refused(tmp_path: Path) -> None:
 def test_objects_that_no_grid_can_hold_are_refused() -> None:
     line = Grid((100,), 1e-3, -1.0)
     for make in (
-        lambda grid: line_pairs(grid, 5.0),
         lambda grid: siemens_star(grid, 8, 0.04, 0.01),
         lambda grid: phase_target(grid, 5.0, 1.0),
         lambda grid: tissue_phantom(grid, 1, 0.532, 0.2),
@@ -349,8 +331,6 @@ def test_objects_that_no_grid_can_hold_are_refused() -> None:
     ):
         with pytest.raises(InputError, match="must be a plane"):
             make(line)
-    with pytest.raises(SamplingError, match=r"bars of 1\.5 µm.*2 samples"):
-        line_pairs(GRID, 1.5)
     with pytest.raises(SamplingError, match="spokes' inner ends"):
         siemens_star(GRID, 36, 0.09, 0.01)
     with pytest.raises(SamplingError, match="phase pads"):
@@ -361,4 +341,4 @@ def test_objects_that_no_grid_can_hold_are_refused() -> None:
         tissue_phantom(GRID, -1, 0.532, 0.2)
     for bad in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(InputError):
-            line_pairs(GRID, bad)
+            phase_target(GRID, bad, 1.0)
