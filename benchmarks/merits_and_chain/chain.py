@@ -20,7 +20,6 @@ import scipy.fft
 from lensdesign.lens.lens import Lens, Sensor
 from wavesim import Electronics, Engine, Field, Grid, Measurement, SystemState, engine_for, reconstruct
 from wavesim.calibration.known_object import calibrate
-from wavesim.calibration.mounting_parameters import PLANE_DISTANCE, RIGID, WORKING_DISTANCE
 from wavesim.scene.scene import placed_light, placed_scene
 from wavesim.sensor import Recording, image_patch, recorded_planes
 from wavesim.sensor.measurement import placed_planes
@@ -137,13 +136,12 @@ class Chain:
 
     def mounting(self, planes: Sequence[Measurement], known: Array) -> SystemState:
         """The lens as mounted, from what was recorded of a known object."""
-        names = (*RIGID, WORKING_DISTANCE, *(PLANE_DISTANCE.format(n + 1) for n in range(len(planes))))
         return calibrate(
             self.engine.scene,
             self.light,
             planes,
             known=Field(self.grid, known, self.light.wavelength_um),
-            parameters=names,
+            parameters="all",
             fill_factor=1.0,
         ).state
 

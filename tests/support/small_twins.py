@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from lensdesign import Lens, ObjectSpace, Sensor, load_design, scaled
+from wavesim.calibration.parameters import Unknowns, parameters_by_name
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 
 WAVELENGTH_UM = 0.532
 PIXEL_MM = 3.2e-3
@@ -21,6 +24,12 @@ def twin_scene(samples: int) -> Scene:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     grid = Grid((samples, samples), 4.2e-4, lens.object_z_mm)
     return Scene(lens, grid, Grid((216, 216), PIXEL_MM, lens.exit_vertex_z_mm + 0.08), WAVELENGTH_UM)
+
+
+def unknowns(values: Mapping[str, float], lens: Lens, fixed: SystemState = AS_DESIGNED) -> Unknowns:
+    """A bench with values of parameters by their names."""
+    known = parameters_by_name(lens)
+    return Unknowns(fixed, {known[name]: value for name, value in values.items()})
 
 
 def stopped_down(stop_mm: float = 0.1, front: dict[str, Any] | None = None, **changes: Any) -> Scene:

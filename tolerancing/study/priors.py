@@ -15,8 +15,7 @@ from tolerancing.perturbations.batch import radius_delta_mm
 from tolerancing.perturbations.irregularity import INDICES, draw_shape, peak_to_valley
 from tolerancing.perturbations.parameters import RADII, Perturbation
 from tolerancing.study.files import load_study
-from wavesim.calibration.mounting_parameters import RIGID, WORKING_DISTANCE
-from wavesim.calibration.parameters import all_names
+from wavesim.calibration.parameters import WORKING_DISTANCE, parameters_by_name
 
 
 class Priors(NamedTuple):
@@ -59,7 +58,7 @@ def calibration_priors(path: str | os.PathLike[str], lens: Lens) -> Priors:
             f"{path}: is a study of another design, {loaded.study.design}: must be a study of the calibrated "
             "lens"
         )
-    names = all_names(lens)
+    names = parameters_by_name(lens)
     squares: dict[str, float] = {}
     unknown = []
     for perturbation in loaded.study.perturbations:
@@ -84,10 +83,10 @@ def _deviations(perturbation: Perturbation, lens: Lens) -> dict[str, float]:
             change = radius_delta_mm(lens, perturbation.surface, parameter, np.array(size))
             return {f"{head}radius_mm": abs(float(change))}
         return {head + parameter: size}
-    if perturbation.target == "lens" and parameter in RIGID:
-        return {parameter: size}
     if (perturbation.target, parameter) in (("lens", "despace_mm"), ("object", WORKING_DISTANCE)):
         return {WORKING_DISTANCE: size}
+    if perturbation.target == "lens":
+        return {parameter: size}
     if perturbation.target == "sensor" and parameter.startswith("tilt"):
         return {f"sensor_{parameter}": size}
     if perturbation.plane is not None:

@@ -25,14 +25,14 @@ from wavesim.calibration.joint.pixels import (
 from wavesim.calibration.joint.search import JointSearch, SearchState
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
-    NONLINEARITY,
-    VIBRATION,
+    Nonlinearity,
     Parameter,
     Unknowns,
-    all_names,
+    Vibration,
     bench_parameters,
     chosen_parameters,
     field_stop_parameters,
+    parameters_by_name,
     with_priors,
 )
 from wavesim.engines.eikonal.engine import FlatTiles
@@ -149,9 +149,8 @@ class CalibrationProblem:
         """Parameters of the light that a complex object can imitate; none for an amplitude object."""
         if self.settings.kind == "amplitude":
             return ()
-        names_sought = {p.name for p in self.parameters()}
-        light = self.parameters("all", light_order=LIGHT_ORDER)
-        return tuple(p for p in light if p.group == "light" and p.name not in names_sought)
+        sought, light = self.parameters(), self.parameters("all", light_order=LIGHT_ORDER)
+        return tuple(p for p in light if p.group == "light" and p not in sought)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -181,7 +180,7 @@ class CalibrationProblem:
             self.lens, len(self.framed.planes_mm), side_mm, patch.wavelength_um, light_order=light_order
         )
         if isinstance(self.pixels, SparsePixels):  # points that are not blurred, fitted to many pixels each
-            allowed = tuple(p for p in allowed if p.name not in (VIBRATION, NONLINEARITY))
+            allowed = tuple(p for p in allowed if not isinstance(p, Vibration | Nonlinearity))
         try:
             chosen = chosen_parameters(requested, allowed)
         except InputError as error:
@@ -192,7 +191,7 @@ class CalibrationProblem:
             raise SettingError(f"{{parameters}} = {requested!r}: {error}{hint}") from None
         if self.seeks_stop:
             chosen += field_stop_parameters(side_mm)
-        return with_priors(chosen, self.priors, all_names(self.lens))
+        return with_priors(chosen, self.priors, parameters_by_name(self.lens))
 
 
 def _key_text(parameters: Sequence[Parameter]) -> str:
@@ -252,13 +251,14 @@ def search_bench(
         absorbed = problem.absorbed if known is None else ()
     _check_memory(len(parameters), len(modes_on(light, start.fixed.source)), problem, known is None)
     settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
-    search_text = f"({dict(start.values)!r}, {_key_text(parameters)})"
+    values = {parameter.name: value for parameter, value in start.values.items()}
+    search_text = f"({values!r}, {_key_text(parameters)})"
     if start.fixed.source != POINT:
         search_text += repr(start.fixed.source)
     key = key_of_frames(problem.lens, problem.framed.frames, light, settings_json, search_text)
     run = _SearchRecord(
         start,
-        tuple(p.name for p in parameters),
+        parameters,
         None if checkpoint_path is None else Checkpoint(checkpoint_path, key),
     )
     what = "bench" if known is None else "light, from the frames without an object"
@@ -293,25 +293,24 @@ def search_bench(
             else "nothing was written"
         )
         raise KeyboardInterrupt(f"interrupted after {run.saved} mountings; {outcome}") from None
+    names = [parameter.name for parameter in parameters]
     return Calibrated(
         state=found.unknowns.state,
-        parameters=run.names,
+        sought=parameters,
         values=tuple(found.estimates.tolist()),
         deviations=None if found.deviations is None else tuple(found.deviations.tolist()),
         typical=tuple(p.typical for p in parameters),
         misfit_before=found.trail[0][1],
         misfit=found.misfit,
-        trail=tuple((tuple(u.of(run.names).tolist()), misfit) for u, misfit in found.trail),
+        trail=tuple((tuple(u.of(parameters).tolist()), misfit) for u, misfit in found.trail),
         at_reach=(),
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
         covariance=found.covariance,
-        correlated_with=(
-            {} if found.covariance is None else correlated_parameters(run.names, found.covariance)
-        ),
-        nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
+        correlated_with=({} if found.covariance is None else correlated_parameters(names, found.covariance)),
+        nominal=tuple(name for name, is_needed in zip(names, found.needed, strict=True) if not is_needed),
         undetermined=problem.undetermined if known is None else (),
-        applied=dict(zip(run.names, found.unknowns.of(run.names).tolist(), strict=True)),
+        applied=dict(zip(names, found.unknowns.of(parameters).tolist(), strict=True)),
         object_uncertainty=found.object_uncertainty,
     )
 
@@ -353,8 +352,10 @@ def _misfit_text(misfit: float, noise: float | None) -> str:
 class _SearchRecord:
     """The state of a search, and its checkpoint."""
 
-    def __init__(self, start: Unknowns, names: tuple[str, ...], checkpoint: Checkpoint | None) -> None:
-        self._start, self.names, self._checkpoint = start, names, checkpoint
+    def __init__(
+        self, start: Unknowns, parameters: tuple[Parameter, ...], checkpoint: Checkpoint | None
+    ) -> None:
+        self._start, self._parameters, self._checkpoint = start, parameters, checkpoint
         self.saved = 0
 
     def initial_state(self) -> SearchState:
@@ -372,8 +373,8 @@ class _SearchRecord:
             stacklevel=4,
         )
         rows = zip(saved["values"].tolist(), saved["misfits"].tolist(), strict=True)
-        trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
-        current = self._start.changed(self.names, saved["here"].tolist())
+        trail = tuple((self._start.changed(self._parameters, values), misfit) for values, misfit in rows)
+        current = self._start.changed(self._parameters, saved["here"].tolist())
         numbers = int(saved["stage"]), float(saved["stretch"])
         scale = float(saved.get("scale_without_limit", 0.0))
         return SearchState(current, *numbers, trail, int(saved.get("iterations", 0)), scale)
@@ -384,8 +385,8 @@ class _SearchRecord:
         if self._checkpoint is None:
             return
         self._checkpoint.keep(
-            here=state.unknowns.of(self.names),
-            values=[unknowns.of(self.names) for unknowns, _ in state.trail],
+            here=state.unknowns.of(self._parameters),
+            values=[unknowns.of(self._parameters) for unknowns, _ in state.trail],
             misfits=[misfit for _, misfit in state.trail],
             stage=state.stage,
             stretch=state.stretch,

@@ -22,9 +22,8 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.joint.search import CONVERGED
-from wavesim.calibration.mounting_parameters import STOP_SHIFTS
 from wavesim.calibration.object_uncertainty import ObjectUncertainty
-from wavesim.calibration.parameters import VIBRATION, Unknowns, all_names, background_orders
+from wavesim.calibration.parameters import Parameter, StopShift, Unknowns, parameters_by_name
 from wavesim.metrics.goodness_of_fit import BenchUncertainty, GoodnessOfFit
 from wavesim.reconstruction.calibrated_bench import (
     JUDGED_OBJECT,
@@ -49,8 +48,8 @@ class Calibrated:
     ----------
     state : SystemState
         The calibrated state of lens, light and camera.
-    parameters : tuple of str
-        Names of the n parameters that were sought.
+    sought : tuple of Parameter
+        The n parameters that were sought.
     values : tuple of float
         Estimate of each parameter.
     deviations : tuple of float or None
@@ -115,7 +114,7 @@ class Calibrated:
     """
 
     state: SystemState
-    parameters: tuple[str, ...]
+    sought: tuple[Parameter, ...]
     values: tuple[float, ...]
     deviations: tuple[float, ...] | None
     typical: tuple[float, ...] | None
@@ -138,6 +137,11 @@ class Calibrated:
     object_uncertainty: ObjectUncertainty | None = None
     evidence_key: str = ""
     judged: JudgedObject | None = None
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that were sought."""
+        return tuple(parameter.name for parameter in self.sought)
 
     @property
     def bench(self) -> CalibratedBench:
@@ -179,15 +183,15 @@ class Calibrated:
         """
         if self.field_stop_from != "frames" or self.field_stop_mm is None:
             return ""
-        if self.deviations is None and set(STOP_SHIFTS) & set(self.parameters):
+        if self.deviations is None and any(isinstance(p, StopShift) for p in self.sought):
             return (
                 "how well the frames determine the common position of field stop and object is not known, "
                 "since standard deviations were not requested; residuals do not show a displacement"
             )
         deviations_um = [
             1e3 * deviation
-            for name, deviation in zip(self.parameters, self.deviations or (), strict=False)
-            if name in STOP_SHIFTS
+            for parameter, deviation in zip(self.sought, self.deviations or (), strict=False)
+            if isinstance(parameter, StopShift)
         ]
         # Standard deviation in um above which pictures of the object are displaced visibly.
         largest_um = 0.5
@@ -205,12 +209,7 @@ class Calibrated:
     def _warning_of_nominal_stop(self) -> str:
         """Warning that a field stop was found on a bench from which the calibrated one differs."""
         applied = self.applied or dict(zip(self.parameters, self.values, strict=True))
-        # Backgrounds and vibration displace nothing.
-        changed = [
-            name
-            for name, value in applied.items()
-            if value and background_orders(name) is None and name != VIBRATION
-        ]
+        changed = [p.name for p in self.sought if applied[p.name] and p.displaces]
         if not changed:
             return ""
         most_named = 4
@@ -436,21 +435,20 @@ def read_calibration(path: str | os.PathLike[str], lens: Lens) -> SystemState:
         Pose(**mounting), object_shift_mm=(0.0, 0.0, 0.0 - farther), plane_distance_errors_mm=planes
     )
     values = table.get("applied", table.get("values"))
-    return state if values is None else Unknowns(lens, state, _numbers(values, path, lens)).state
+    return state if values is None else Unknowns(state, _numbers(values, path, lens)).state
 
 
-def _numbers(values: Any, path: str | os.PathLike[str], lens: Lens) -> dict[str, float]:
+def _numbers(values: Any, path: str | os.PathLike[str], lens: Lens) -> dict[Parameter, float]:
     """Return the values of parameters that a lens can have; distances of planes are in the mounting."""
     if not isinstance(values, dict):
         raise InputError(f"{path}: values: must be a table of numbers")
-    allowed = all_names(lens)
-    ignored = [name for name in values if name not in allowed and name.startswith("plane_distance_")]
+    allowed, ignored = parameters_by_name(lens), "plane_distance_1_mm"
     for name, value in values.items():
-        if name not in allowed and name not in ignored:
+        if name not in allowed and name != ignored:
             raise InputError(
                 f"{path}: values: {name!r}: this lens has no such parameter{did_you_mean(name, allowed)}; "
                 "give the design that was calibrated"
             )
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"{path}: values: {name} = {value!r}: must be a finite number")
-    return {name: float(value) for name, value in values.items() if name not in ignored}
+    return {allowed[name]: float(value) for name, value in values.items() if name != ignored}

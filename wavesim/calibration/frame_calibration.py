@@ -17,8 +17,14 @@ from wavesim.calibration.calibration_problem import IGNORED_SETTINGS, Calibratio
 from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.calibration.known_object import calibrate
-from wavesim.calibration.mounting_parameters import RIGID, STOP_SHIFTS, parameter_names, validate_parameters
-from wavesim.calibration.parameters import LIGHT_ORDER, LIGHT_ORDER_ALONE, Unknowns
+from wavesim.calibration.parameters import (
+    LIGHT_ORDER,
+    LIGHT_ORDER_ALONE,
+    StopShift,
+    Unknowns,
+    chosen_parameters,
+    mounting_parameters,
+)
 from wavesim.fields.field import Field
 from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import LinearModel
@@ -200,7 +206,7 @@ def _calibrated(
     problem = CalibrationProblem(lens, frames, requested, priors)
     stop = _found_stop(problem, folder, progress)
     if stop is None:
-        start = Unknowns(lens, problem.start)
+        start = Unknowns(problem.start)
         found = _searched(problem, frames, empty, start, folder, CHECKPOINT, progress)
         return _with_field_stop(found, problem, requested.field_stop_from), requested
     settings = requested.with_stop(*stop)
@@ -350,7 +356,7 @@ def _calibrated_with_stop(
     """
     seeks_position = requested.field_stop_at_mm is None and empty is None
     problem = CalibrationProblem(lens, frames, settings, priors, seeks_position)
-    start = Unknowns(lens, problem.start)
+    start = Unknowns(problem.start)
     found = _searched(problem, frames, empty, start, folder, CHECKPOINT, progress)
     found = _with_field_stop(found, problem, "frames")
     if requested.field_stop_mm is not None:
@@ -360,8 +366,9 @@ def _calibrated_with_stop(
         if abs(stop.width_mm - found.field_stop.width_mm) <= problem.framed.patch.grid.pitch_mm:
             break
         problem = CalibrationProblem(lens, frames, settings.with_stop(*stop), priors, seeks_position)
-        applied = {n: v for n, v in (found.applied or {}).items() if n not in STOP_SHIFTS}
-        start = start.changed(list(applied), list(applied.values()))
+        applied = found.applied or {}
+        kept = [parameter for parameter in found.sought if not isinstance(parameter, StopShift)]
+        start = start.changed(kept, [applied[parameter.name] for parameter in kept])
         again = _searched(problem, frames, empty, start, folder, STOP_CHECKPOINT, progress)
         again = replace(again, misfit_before=found.misfit_before, trail=found.trail + again.trail)
         found = _with_field_stop(again, problem, "frames")
@@ -454,13 +461,13 @@ def _searched(
     validate_same_frames(empty, frames)
     lens, settings, priors = problem.lens, problem.settings, problem.priors
     measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=progress)
-    remaining = tuple(p for p in problem.parameters(light_order=0) if p.name in measured.parameters)
+    remaining = tuple(p for p in problem.parameters(light_order=0) if p in measured.sought)
     if not remaining:
         return measured
-    start = start.changed(measured.parameters, list((measured.applied or {}).values()))
-    deviations = dict(zip(measured.parameters, measured.deviations or (), strict=True))
+    start = start.changed(measured.sought, list((measured.applied or {}).values()))
+    deviations = dict(zip(measured.sought, measured.deviations or (), strict=True))
     light = problem.parameters("light", light_order=LIGHT_ORDER)
-    absorbed = tuple(replace(p, typical=deviations[p.name]) for p in light if p.name in deviations)
+    absorbed = tuple(replace(p, typical=deviations[p]) for p in light if p in deviations)
     found = search_bench(problem, remaining, start, checkpoint_path, progress, absorbed=absorbed)
     return _with_light(measured, found)
 
@@ -519,7 +526,7 @@ def calibrate_empty(
     requested = problem.parameters(light_order=LIGHT_ORDER_ALONE)
     parameters_sought = tuple(p for p in everything if p.group == "light" or p in requested)
     source = stated_source(settings, POINT if start is None else start.source)
-    unknowns = Unknowns(lens, replace(start or problem.start, light=LightErrors(), source=source))
+    unknowns = Unknowns(replace(start or problem.start, light=LightErrors(), source=source))
     checkpoint_path = None if folder is None else folder / EMPTY_CHECKPOINT
     known = np.ones(problem.framed.light.grid.shape, np.float32)
     found = search_bench(problem, parameters_sought, unknowns, checkpoint_path, progress, known)
@@ -583,7 +590,7 @@ def _with_light(measured: Calibrated, found: Calibrated) -> Calibrated:
     names, light = measured.parameters[:count], measured.values[:count]
     return replace(
         found,
-        parameters=names + found.parameters,
+        sought=measured.sought[:count] + found.sought,
         values=light + found.values,
         deviations=measured.deviations[:count] + found.deviations,
         typical=measured.typical[:count] + found.typical,
@@ -656,12 +663,16 @@ def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated
 
 def _calibrate_mounting(problem: CalibrationProblem, known: Field, progress: Progress) -> Calibrated:
     settings = problem.settings
+    try:
+        chosen_parameters(settings.parameters, mounting_parameters(problem.lens, len(problem.recorded)))
+    except InputError as error:
+        raise SettingError(f"{{parameters}} = {settings.parameters!r}: {error}") from None
     return calibrate(
         problem.scene,
         problem.framed.light,
         problem.recorded,
         known=known,
-        parameters=_chosen_names(settings.parameters, parameter_names(len(problem.framed.planes_mm))),
+        parameters=settings.parameters,
         scale=settings.scale,
         fill_factor=settings.fill_factor,
         start=problem.start,
@@ -671,14 +682,3 @@ def _calibrate_mounting(problem: CalibrationProblem, known: Field, progress: Pro
             f"{name} search: misfit {misfit:.4f}", count, settings.most_mountings
         ),
     )
-
-
-def _chosen_names(text: str, allowed: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of the requested parameters."""
-    groups = {"rigid": RIGID, "all": allowed}
-    names = groups.get(text) or tuple(part.strip() for part in text.split(",") if part.strip())
-    try:
-        validate_parameters(names, len(allowed) - len(RIGID) - 1)
-    except InputError as error:
-        raise SettingError(f"{{parameters}} = {text!r}: {error}; or: rigid, all") from None
-    return names

@@ -21,13 +21,13 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_whole_number
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibration_result import Calibrated
-from wavesim.calibration.mounting_parameters import (
-    DECENTERS,
-    RIGID,
-    TILTS,
-    validate_parameters,
-    values_of,
-    with_values,
+from wavesim.calibration.parameters import (
+    Decenter,
+    LensPose,
+    Parameter,
+    Unknowns,
+    chosen_parameters,
+    mounting_parameters,
 )
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.trust_region import GaussNewton, Minimum
@@ -59,7 +59,7 @@ def calibrate(
     recorded: Sequence[Measurement],
     *,
     known: Field,
-    parameters: Sequence[str] = RIGID,
+    parameters: str = "rigid",
     scale: float | None = None,
     fill_factor: float = 0.0,
     start: SystemState = AS_DESIGNED,
@@ -80,7 +80,8 @@ def calibrate(
     known
         Transmission of the object.
     parameters
-        Parameters to find; see :func:`wavesim.calibration.mounting_parameters.parameter_names`.
+        Parameters to find, separated by commas: decenter_x_mm, decenter_y_mm, tilt_x_deg, tilt_y_deg (all
+        four: rigid), working_distance_mm, plane_distance_1_mm and so on; or all.
     scale, fill_factor
         See :func:`wavesim.reconstruct`.
     start
@@ -102,12 +103,12 @@ def calibrate(
     InputError
         If a value or a shape is invalid, or no light passes the lens at the start.
     """
-    validate_parameters(parameters, len(recorded))
+    sought = chosen_parameters(parameters, mounting_parameters(scene.lens, len(recorded)))
     validate_whole_number("most_mountings", most_mountings, 1)
     if known.grid != illumination.grid:
         raise InputError(f"known object: its grid {known.grid} is not the illumination's {illumination.grid}")
     problem = _MountingProblem(scene, illumination, recorded, known, scale, fill_factor, make)
-    fine_start, rigid = start, tuple(name for name in parameters if name in RIGID)
+    fine_start, rigid = start, tuple(p for p in sought if isinstance(p, LensPose))
     if rigid:
         coarse_search = _MountingSearch("coarse", problem.blurred, start, rigid, progress)
         # Largest number of mountings in the coarse search, which only needs to come near.
@@ -117,15 +118,15 @@ def calibrate(
                 _search_range(scene.lens, rigid), min(most_mountings, coarse_mountings)
             ).point
         )
-    fine_search = _MountingSearch("fine", problem.frames, fine_start, tuple(parameters), progress)
-    search_range = _search_range(scene.lens, parameters)
+    fine_search = _MountingSearch("fine", problem.frames, fine_start, sought, progress)
+    search_range = _search_range(scene.lens, sought)
     found = fine_search.search(search_range, most_mountings)
     at_reach = tuple(
-        n for n, v, r in zip(parameters, found.point, search_range, strict=True) if abs(v) > 0.999 * r
+        p.name for p, v, r in zip(sought, found.point, search_range, strict=True) if abs(v) > 0.999 * r
     )
     return Calibrated(
         state=fine_search.mounting(found.point),
-        parameters=tuple(parameters),
+        sought=sought,
         values=tuple(found.point.tolist()),
         deviations=None,
         typical=None,
@@ -138,15 +139,13 @@ def calibrate(
     )
 
 
-def _search_range(lens: Lens, parameters: Sequence[str]) -> Array:
+def _search_range(lens: Lens, parameters: Sequence[Parameter]) -> Array:
     """Return the range of the search for each parameter."""
     diameter_mm = 2.0 * min(s.semi_diameter_mm or np.inf for s in lens.surfaces)
     if not np.isfinite(diameter_mm):
         diameter_mm = abs(lens.object_z_mm)
-    search_range = dict.fromkeys(DECENTERS, DECENTER_RANGE * diameter_mm) | dict.fromkeys(
-        TILTS, TILT_RANGE_DEG
-    )
-    return np.array([search_range.get(name, DISTANCE_RANGE * abs(lens.object_z_mm)) for name in parameters])
+    ranges: dict[type[Parameter], float] = {Decenter: DECENTER_RANGE * diameter_mm, LensPose: TILT_RANGE_DEG}
+    return np.array([ranges.get(type(p), DISTANCE_RANGE * abs(lens.object_z_mm)) for p in parameters])
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,22 +160,24 @@ class _MountingProblem:
     fill_factor: float
     make: Make
 
-    def blurred(self, mounting: SystemState, names: Sequence[str]) -> Response:
+    def blurred(self, mounting: SystemState, parameters: Sequence[Parameter]) -> Response:
         """Return the response of blurred intensities."""
         # Blur of the coarse search, wider than the fringes at the border of the field stop's shadow.
         coarse_blur_pixels = 8.0
-        return self._response(mounting, names, coarse_blur_pixels)
+        return self._response(mounting, parameters, coarse_blur_pixels)
 
-    def frames(self, mounting: SystemState, names: Sequence[str]) -> Response:
+    def frames(self, mounting: SystemState, parameters: Sequence[Parameter]) -> Response:
         """Return the response of the frames themselves."""
-        return self._response(mounting, names, 0.0)
+        return self._response(mounting, parameters, 0.0)
 
-    def _response(self, mounting: SystemState, names: Sequence[str], blur_pixels: float) -> Response:
+    def _response(
+        self, mounting: SystemState, parameters: Sequence[Parameter], blur_pixels: float
+    ) -> Response:
         return mounting_response(
             self._model(mounting),
             np.asarray(self.known.values),
             mounting,
-            names,
+            parameters,
             blur_pixels=blur_pixels,
             fits_scale=self.scale is None,
         )
@@ -197,9 +198,9 @@ class _MountingSearch:
     def __init__(
         self,
         name: str,
-        respond: Callable[[SystemState, Sequence[str]], Response],
+        respond: Callable[[SystemState, Sequence[Parameter]], Response],
         start: SystemState,
-        parameters: tuple[str, ...],
+        parameters: tuple[Parameter, ...],
         progress: Progress | None,
     ) -> None:
         self.name, self.respond, self.start = name, respond, start
@@ -207,7 +208,7 @@ class _MountingSearch:
         self.trail: list[tuple[tuple[float, ...], float]] = []
 
     def mounting(self, point: Array) -> SystemState:
-        return with_values(self.start, self.parameters, list(point))
+        return Unknowns(self.start).changed(self.parameters, list(point)).state
 
     def search(self, search_range: Array, most_evaluations: int) -> Minimum:
         """Search with the derivatives of the whole model."""
@@ -219,9 +220,8 @@ class _MountingSearch:
 
         # The fine search ends when a step reduces the squared misfit by less than this fraction.
         least_gain = 3e-3
-        return GaussNewton(model, values_of(self.start, self.parameters), search_range).run(
-            least_gain, most_evaluations
-        )
+        start = np.array([parameter.value(self.start) for parameter in self.parameters])
+        return GaussNewton(model, start, search_range).run(least_gain, most_evaluations)
 
     def _record(self, point: Array, misfit: float) -> None:
         self.trail.append((tuple(point.tolist()), misfit))

@@ -9,7 +9,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.lens.poses import rotation_matrix
-from wavesim.calibration.mounting_parameters import DECENTERS, TILTS
+from wavesim.calibration.parameters import Decenter, LensPose
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.scene.system_state import SystemState
@@ -17,7 +17,7 @@ from wavesim.scene.system_state import SystemState
 ComplexArray = NDArray[np.complexfloating]
 
 
-def motion(field: Field, mounting: SystemState, parameter: str) -> ComplexArray:
+def motion(field: Field, mounting: SystemState, parameter: LensPose) -> ComplexArray:
     """Return the change of a field per unit of a rigid parameter if its sources moved with the lens.
 
     The generator of the motion is -d/dx for a shift along x, and -(w x (r - c)) . grad for a rotation w
@@ -30,7 +30,7 @@ def motion(field: Field, mounting: SystemState, parameter: str) -> ComplexArray:
     mounting
         Mounting of the lens.
     parameter
-        One of `DECENTERS` (per mm) or `TILTS` (per deg).
+        Decenter (per mm) or tilt (per deg).
 
     Returns
     -------
@@ -38,15 +38,13 @@ def motion(field: Field, mounting: SystemState, parameter: str) -> ComplexArray:
         Change of the field, of its shape.
     """
     along_x, along_y, along_z = gradient(field)
-    if parameter == DECENTERS[0]:
-        return -along_x
-    if parameter == DECENTERS[1]:
-        return -along_y
+    if isinstance(parameter, Decenter):
+        return -along_x if parameter.name == "decenter_x_mm" else -along_y
     grid, pose = field.grid, mounting.pose
     tilt = np.deg2rad(np.atleast_1d(pose.tilt_x_deg))
     axis = (
         np.array([1.0, 0.0, 0.0])
-        if parameter == TILTS[0]
+        if parameter.name == "tilt_x_deg"
         else rotation_matrix(tilt, np.zeros(1))[0] @ np.array([0.0, 1.0, 0.0])
     )
     x = grid.x_mm[None, :] - pose.decenter_x_mm

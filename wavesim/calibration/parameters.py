@@ -1,12 +1,12 @@
-"""Parameters of a bench that may be unknown: names, units, and usual deviations from the design."""
+"""Parameters of a bench that may be unknown: what each changes, and its usual deviation from the design."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from functools import cached_property, lru_cache
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -16,20 +16,15 @@ from lensdesign.errors import InputError
 from lensdesign.lens.glass import is_gap
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
-from lensdesign.lens.surface_figure import surface_figure_from_zernike
-from wavesim.calibration.mounting_parameters import (
-    DECENTERS,
-    PLANE_DISTANCE,
-    RIGID,
-    STOP_SHIFTS,
-    TILTS,
-    WORKING_DISTANCE,
-    with_values,
-)
+from lensdesign.lens.surface_figure import SurfaceFigure, surface_figure_from_zernike
+from wavesim.forward.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
+from wavesim.forward.stacked_channels import ChannelsMeasurement
 from wavesim.scene.light_errors import Orders
 from wavesim.scene.system_state import SLOPE_ORDERS, SystemState
 
 Group = Literal["light", "lens", "mounting", "camera"]
+WORKING_DISTANCE = "working_distance_mm"
+"""Name of the parameter of the object's distance from the lens."""
 
 FIGURE_TYPICAL_UM = 0.05
 """Usual root mean square of one Zernike term in um: 0.08 waves of a 633 nm interferometer."""
@@ -55,81 +50,46 @@ LIGHT_WAVES, PHASE_WAVES, AMPLITUDE = 1.0, 0.15, 0.1
 LIGHT_ORDER, LIGHT_ORDER_ALONE = 2, 4
 """Highest sum of orders of the light's modes with an unknown object, and without an object."""
 
-LIGHT_MODE = re.compile(r"light_(amplitude|phase)_(\d)(\d)(?:_waves)?")
-
 SHIFT_PIXELS, BACKGROUND = 2.0, 0.02
 """Usual shift of a plane in pixels, and background as a fraction of the mean intensity."""
 
 EXPOSURE = 0.02
 """Usual relative error of the exposure of a plane, compared with that of the first plane."""
 
-NONLINEARITY, NONLINEARITY_TYPICAL = "nonlinearity", 0.01
-"""Parameter of the camera's nonlinearity, and its usual standard deviation."""
-
-VIBRATION, VIBRATION_PIXELS = "vibration_variance_um2", 0.2
-"""Parameter of the blur by vibration, and its usual standard deviation in pixels. The pictures change
-linearly with the variance.
-"""
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """Values of the parameters that are sought, and a bench with all other values.
-
-    Attributes
-    ----------
-    lens : Lens
-        The nominal lens.
-    fixed : SystemState
-        State with the values that are not sought.
-    values : mapping
-        Values that are sought, by name.
-    """
-
-    lens: Lens
-    fixed: SystemState = field(default_factory=SystemState)
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    def changed(self, names: Sequence[str], values: Sequence[float]) -> Unknowns:
-        """Return a copy with some values changed."""
-        return replace(self, values={**self.values, **dict(zip(names, map(float, values), strict=True))})
-
-    def of(self, names: Sequence[str]) -> Array:
-        """Return values by name; a value that is not set is 0."""
-        return np.array([self.values.get(name, 0.0) for name in names])
-
-    @property
-    def state(self) -> SystemState:
-        """State of the system with these values."""
-        result = self.fixed
-        for add_group in (_with_light, _with_camera, _with_lens, _with_mounting):
-            result = add_group(self, result)
-        return result
+NONLINEARITY, VIBRATION_PIXELS = 0.01, 0.2
+"""Usual standard deviations of the camera's nonlinearity, and of the blur by vibration in pixels."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a bench that may be unknown.
+    """A parameter of a bench that may be unknown: a number in its state; equal are those of one name.
 
-    Attributes
-    ----------
-    name : str
-        Name with its unit.
-    group : {"light", "lens", "mounting", "camera"}
-        Part of the bench to which it belongs.
-    typical : float
-        Expected standard deviation (prior).
-    usual : float, optional
-        Standard deviation of a usual bench, if it differs from `typical`.
-    lower_bound : float
-        Smallest possible value; at most 0.
+    The path to the number consists of attributes, keys and indices.
     """
 
     name: str
-    group: Group
-    typical: float
-    usual: float | None = None
-    lower_bound: float = -math.inf
+    path: tuple[Any, ...] = field(compare=False)
+    typical: float = field(compare=False)  # expected standard deviation (prior)
+    usual: float | None = field(default=None, compare=False)  # that of a usual bench, if it differs
+
+    group: ClassVar[Group]
+    lower_bound: ClassVar[float] = -math.inf  # smallest possible value, at most 0
+    displaces: ClassVar[bool] = True  # whether it can displace the light of a field stop
+    follows_object: ClassVar[bool] = False  # whether it changes with an object that is displaced
+    is_sought_last: ClassVar[bool] = False  # because it can imitate others, or is determined least
+
+    def value(self, state: SystemState) -> float:
+        """Return the value that a state has."""
+        return float(_at(state, self.path))
+
+    def set(self, state: SystemState, value: float) -> SystemState:
+        """Return a state with another value."""
+        changed: SystemState = _replaced(state, self.path, value)
+        return changed
+
+    def column(self, linear: LinearModel) -> RealArray:
+        """Return the change of the modelled amplitudes per unit, of a parameter that acts behind the lens."""
+        raise AssertionError(f"{self.name}: acts on the light or the rays")
 
     @property
     def small(self) -> float:
@@ -137,6 +97,209 @@ class Parameter:
         # Step of a parameter over its usual deviation; its effect is linear over this step.
         step_fraction = 0.05
         return step_fraction * (self.usual or self.typical)
+
+
+class LightPhase(Parameter):
+    """A mode of the phase of the light on the object, in waves."""
+
+    group = "light"
+
+    @property
+    def orders(self) -> Orders:
+        """Orders of the mode."""
+        orders: Orders = self.path[-1]
+        return orders
+
+
+class LightAmplitude(LightPhase):
+    """A mode of the relative amplitude of the light."""
+
+    is_sought_last = True
+
+
+class LightTilt(LightPhase):
+    """Tilt of the light in deg, which is a mode of first order of its phase."""
+
+    follows_object = True
+
+    @property
+    def orders(self) -> Orders:
+        return SLOPE_ORDERS[self.path[-1]]
+
+
+class CameraParameter(Parameter):
+    """A parameter of the camera."""
+
+    group = "camera"
+
+    @property
+    def plane(self) -> int:
+        """Index of the plane, for parameters of one plane."""
+        return int(self.path[1])
+
+
+class SensorPosition(CameraParameter):
+    """A parameter of the sensor's position."""
+
+
+class PlaneShift(SensorPosition):
+    """Lateral shift of the sensor on a plane in um."""
+
+    follows_object = True
+
+    def column(self, linear: LinearModel) -> RealArray:
+        products = _measurement(linear).by_shift(self.plane, self.path[-1])
+        return linear.amplitude_change_on_plane(self.plane, products)
+
+
+class PlaneDistance(SensorPosition):
+    """Distance of the sensor from the lens on a plane in mm, the true minus the nominal one."""
+
+    def column(self, linear: LinearModel) -> RealArray:
+        return linear.amplitude_change_on_plane(self.plane, _measurement(linear).by_distance(self.plane))
+
+
+class SensorTilt(SensorPosition):
+    """Tilt of the sensor about an axis in deg."""
+
+    is_sought_last = True
+
+    def column(self, linear: LinearModel) -> RealArray:
+        return linear.amplitude_changes(_measurement(linear).by_tilt(self.path[-1]))
+
+
+class ExposureError(CameraParameter):
+    """Relative error of the exposure of a plane."""
+
+    def column(self, linear: LinearModel) -> RealArray:
+        return linear.jacobian_times_exposure(self.plane)
+
+
+class Background(CameraParameter):
+    """Even background of a plane as a fraction of its mean intensity."""
+
+    displaces = False
+
+    def set(self, state: SystemState, value: float) -> SystemState:
+        return super().set(state, max(value, 0.0))
+
+    def column(self, linear: LinearModel) -> RealArray:
+        return linear.jacobian_times_background(self.plane)
+
+
+class BackgroundSlope(CameraParameter):
+    """Change of a plane's background from its centre to its edge along an axis, in the same unit."""
+
+    displaces = False
+
+    def column(self, linear: LinearModel) -> RealArray:
+        return linear.jacobian_times_background(self.plane, SLOPE_ORDERS[self.path[-1]])
+
+
+class Nonlinearity(CameraParameter):
+    """Nonlinearity of the camera."""
+
+    def column(self, linear: LinearModel) -> RealArray:
+        return linear.jacobian_times_nonlinearity()
+
+
+class Vibration(CameraParameter):
+    """Variance of the sensor's vibration in um^2, with which the pictures change linearly."""
+
+    lower_bound = 0.0
+    displaces = False
+
+    def value(self, state: SystemState) -> float:
+        return super().value(state) ** 2
+
+    def set(self, state: SystemState, value: float) -> SystemState:
+        return super().set(state, math.sqrt(max(value, 0.0)))
+
+    def column(self, linear: LinearModel) -> RealArray:
+        return linear.amplitude_changes(_measurement(linear).by_blur())
+
+
+class SurfaceChange(Parameter):
+    """Deviation of a surface's index, radius or thickness."""
+
+    group = "lens"
+
+
+@dataclass(frozen=True)
+class FigureTerm(SurfaceChange):
+    """Root mean square of a Zernike term of a surface's figure in um, by its OSA/ANSI index."""
+
+    index: int = field(kw_only=True)
+    semi_diameter_mm: float = field(kw_only=True)
+
+    def value(self, state: SystemState) -> float:
+        return self._terms_um(state).get(self.index, 0.0)
+
+    def set(self, state: SystemState, value: float) -> SystemState:
+        terms = {n: um for n, um in {**self._terms_um(state), self.index: value}.items() if um}
+        figure = _figure_of_terms(tuple(terms.items()), self.semi_diameter_mm) if terms else None
+        changed: SystemState = _replaced(state, self.path, figure)
+        return changed
+
+    def _terms_um(self, state: SystemState) -> Mapping[int, float]:
+        figure = _at(state, self.path)
+        return figure.terms_um if isinstance(figure, _FigureOfTerms) else {}
+
+
+class LensPose(Parameter):
+    """Tilt of the whole lens about an axis in deg."""
+
+    group = "mounting"
+
+
+class Decenter(LensPose):
+    """Decenter of the lens in mm."""
+
+    follows_object = True
+
+
+class WorkingDistance(Parameter):
+    """Distance of the object from the lens in mm, the true minus the nominal one."""
+
+    group = "mounting"
+
+    def value(self, state: SystemState) -> float:
+        return 0.0 - super().value(state)
+
+    def set(self, state: SystemState, value: float) -> SystemState:
+        return super().set(state, 0.0 - value)
+
+
+class StopShift(Parameter):
+    """Shift of the field stop in mm, together with the object, from a position found from the frames."""
+
+    group = "mounting"
+    follows_object = True
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Values of the parameters that are sought, and a bench with all other values."""
+
+    fixed: SystemState = field(default_factory=SystemState)
+    values: Mapping[Parameter, float] = field(default_factory=dict)
+
+    def changed(self, parameters: Sequence[Parameter], values: Sequence[float]) -> Unknowns:
+        """Return a copy with some values changed."""
+        return replace(self, values={**self.values, **dict(zip(parameters, map(float, values), strict=True))})
+
+    def of(self, parameters: Sequence[Parameter]) -> Array:
+        """Return values of parameters; a value that is not set is 0."""
+        return np.array([self.values.get(parameter, 0.0) for parameter in parameters])
+
+    @cached_property
+    def state(self) -> SystemState:
+        """State of the system with these values."""
+        result = self.fixed
+        for parameter, value in self.values.items():
+            if parameter.value(result) != value:  # what is as designed stays so
+                result = parameter.set(result, value)
+        return result
 
 
 def bench_parameters(
@@ -165,51 +328,53 @@ def bench_parameters(
     tuple of Parameter
         All parameters, in a fixed order.
     """
-    found = list(_light_parameters(patch_mm, wavelength_um, light_order)) if light_order else []
-    pitch_um, object_distance_mm = lens.sensor.pixel_pitch_um, abs(lens.object_z_mm)
-    for n in range(1, planes + 1):
-        if n > 1:
-            found += [
-                Parameter(f"plane_{n}_shift_{axis}_um", "camera", SHIFT_PIXELS * pitch_um) for axis in "xy"
-            ]
-            found.append(Parameter(PLANE_DISTANCE.format(n), "camera", TYPICAL["distance"]))
-            found.append(Parameter(f"plane_{n}{EXPOSURE_ERROR}", "camera", EXPOSURE))
-        found.append(Parameter(f"plane_{n}_background", "camera", BACKGROUND))
-        found += [Parameter(f"plane_{n}_background_slope_{axis}", "camera", BACKGROUND) for axis in "xy"]
-    found.append(Parameter(NONLINEARITY, "camera", NONLINEARITY_TYPICAL))
-    found.append(Parameter(VIBRATION, "camera", (VIBRATION_PIXELS * pitch_um) ** 2, lower_bound=0.0))
+    found = _light_parameters(patch_mm, wavelength_um, light_order) if light_order else []
+    pitch_um = lens.sensor.pixel_pitch_um
+    for plane in range(planes):
+        head = f"plane_{plane + 1}_"
+        if plane > 0:
+            for n, axis in enumerate("xy"):
+                path = "plane_shifts_um", plane, n
+                found.append(PlaneShift(f"{head}shift_{axis}_um", path, SHIFT_PIXELS * pitch_um))
+            found.append(_plane_distance(plane))
+            found.append(ExposureError(f"{head}exposure_error", ("plane_exposure_errors", plane), EXPOSURE))
+        found.append(Background(f"{head}background", ("plane_backgrounds", plane), BACKGROUND))
+        for n, axis in enumerate("xy"):
+            path = "plane_background_slopes", plane, n
+            found.append(BackgroundSlope(f"{head}background_slope_{axis}", path, BACKGROUND))
+    found.append(Nonlinearity("nonlinearity", ("nonlinearity",), NONLINEARITY))
+    found.append(Vibration("vibration_variance_um2", ("vibration_um",), (VIBRATION_PIXELS * pitch_um) ** 2))
     half_mm = 0.5e-3 * pitch_um * max(lens.sensor.pixels)
     tilt_deg = math.degrees(TYPICAL["distance"] / half_mm)
-    found += [Parameter(name, "camera", tilt_deg) for name in SENSOR_TILTS]
-    # Relative errors with an equal effect in waves decrease with the size of the lens.
-    fraction = min(1.0, 1.0 / object_distance_mm)
-    found += _lens_parameters(lens, fraction)
-    found += [Parameter(name, "mounting", TYPICAL["decenter"]) for name in DECENTERS]
-    found += [Parameter(name, "mounting", TYPICAL["tilt_deg"] * fraction) for name in TILTS]
-    found.append(Parameter(WORKING_DISTANCE, "mounting", TYPICAL["distance"]))
-    return tuple(found)
+    found += [
+        SensorTilt(f"sensor_tilt_{axis}_deg", ("sensor_tilt_deg", n), tilt_deg) for n, axis in enumerate("xy")
+    ]
+    return *found, *_lens_parameters(lens), *_pose_parameters(lens)
+
+
+def mounting_parameters(lens: Lens, planes: int) -> tuple[Parameter, ...]:
+    """Return the parameters that frames of a known object determine: pose of the lens, and distances."""
+    return *_pose_parameters(lens), *map(_plane_distance, range(planes))
 
 
 def field_stop_parameters(patch_mm: float) -> tuple[Parameter, ...]:
-    """Return the parameters of a field stop whose position was found from the frames.
-
-    Parameters
-    ----------
-    patch_mm
-        Side of the object patch in mm.
-    """
-    return tuple(Parameter(name, "mounting", TYPICAL["field_stop"] * patch_mm) for name in STOP_SHIFTS)
+    """Return the parameters of a field stop whose position was found from the frames."""
+    typical_mm = TYPICAL["field_stop"] * patch_mm
+    return tuple(
+        StopShift(f"field_stop_shift_{axis}_mm", ("object_shift_mm", n), typical_mm)
+        for n, axis in enumerate("xy")
+    )
 
 
-def all_names(lens: Lens) -> tuple[str, ...]:
-    """Return the names of all parameters that a lens and its bench can have."""
+def parameters_by_name(lens: Lens) -> dict[str, Parameter]:
+    """Return all parameters that a lens and its bench can have, by their names."""
     most_planes = 99
     found = bench_parameters(lens, most_planes, 1.0, 1.0, light_order=LIGHT_ORDER_ALONE)
-    return *(p.name for p in found), *STOP_SHIFTS
+    return {p.name: p for p in (*found, *field_stop_parameters(1.0))}
 
 
 def with_priors(
-    parameters: Sequence[Parameter], priors: Mapping[str, float], allowed: Sequence[str]
+    parameters: Sequence[Parameter], priors: Mapping[str, float], allowed: Collection[str]
 ) -> tuple[Parameter, ...]:
     """Return parameters with other expected standard deviations.
 
@@ -252,7 +417,9 @@ def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Paramete
     chosen: list[Parameter] = []
     for word in names_and_groups:
         found = [
-            p for p in allowed if word in ("all", p.group, p.name) or (word == "rigid" and p.name in RIGID)
+            p
+            for p in allowed
+            if word in ("all", p.group, p.name) or (word == "rigid" and isinstance(p, LensPose))
         ]
         if not found:
             raise InputError(
@@ -265,36 +432,21 @@ def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Paramete
     return tuple(p for p in allowed if p in chosen)
 
 
-EXPOSURE_ERROR = "_exposure_error"
-"""End of the names of parameters of exposures."""
-
-SENSOR_TILTS = ("sensor_tilt_x_deg", "sensor_tilt_y_deg")
-
-
-def light_orders(name: str) -> Orders:
-    """Return the orders of the mode of the light that a parameter changes; a tilt is a mode of the phase,
-    too.
-    """
-    match = LIGHT_MODE.fullmatch(name)
-    if match is None:
-        return (1, 0) if name == "light_tilt_x_deg" else (0, 1)
-    return int(match[2]), int(match[3])
-
-
-def background_orders(name: str) -> Orders | None:
-    """Return the orders of the polynomial of a plane's background that a parameter changes, or None."""
-    _, separator, slope = name.partition("_background")
-    if not separator:
-        return None
-    return SLOPE_ORDERS["xy".index(slope[-1])] if slope else (0, 0)
-
-
 def _light_parameters(patch_mm: float, wavelength_um: float, order: int) -> list[Parameter]:
     tilt_deg = math.degrees(1e-3 * LIGHT_WAVES * wavelength_um / patch_mm)
     return [
-        *(Parameter(f"light_tilt_{axis}_deg", "light", tilt_deg) for axis in "xy"),
-        *(Parameter(f"light_phase_{i}{j}_waves", "light", PHASE_WAVES) for i, j in _orders(2, order)),
-        *(Parameter(f"light_amplitude_{i}{j}", "light", AMPLITUDE) for i, j in _orders(1, order)),
+        *(
+            LightTilt(f"light_tilt_{axis}_deg", ("light", "tilt_deg", n), tilt_deg)
+            for n, axis in enumerate("xy")
+        ),
+        *(
+            LightPhase(f"light_phase_{i}{j}_waves", ("light", "phase_waves", (i, j)), PHASE_WAVES)
+            for i, j in _orders(2, order)
+        ),
+        *(
+            LightAmplitude(f"light_amplitude_{i}{j}", ("light", "amplitude", (i, j)), AMPLITUDE)
+            for i, j in _orders(1, order)
+        ),
     ]
 
 
@@ -303,97 +455,100 @@ def _orders(least: int, most: int) -> list[Orders]:
     return [(total - j, j) for total in range(least, most + 1) for j in range(total + 1)]
 
 
-def _lens_parameters(lens: Lens, fraction: float) -> list[Parameter]:
-    found = []
+def _plane_distance(plane: int) -> PlaneDistance:
+    path = "plane_distance_errors_mm", plane
+    return PlaneDistance(f"plane_distance_{plane + 1}_mm", path, TYPICAL["distance"])
+
+
+def _size_fraction(lens: Lens) -> float:
+    """Return the factor of relative errors; those of an equal effect in waves decrease with the size."""
+    return min(1.0, 1.0 / abs(lens.object_z_mm))
+
+
+def _lens_parameters(lens: Lens) -> list[Parameter]:
+    found: list[Parameter] = []
     # Zernike terms of a surface's figure by OSA/ANSI index: two of astigmatism, two of coma.
-    figure_terms = (3, 5, 7, 8)
-    for surface_number, surface in enumerate(lens.surfaces, start=1):
-        prefix = f"surface_{surface_number}_"
+    figure_terms, fraction = (3, 5, 7, 8), _size_fraction(lens)
+    for n, surface in enumerate(lens.surfaces):
+        typical = {}
         if not is_gap(surface.material):
-            found.append(Parameter(f"{prefix}index", "lens", TYPICAL["index"] * fraction))
+            typical["index"] = TYPICAL["index"] * fraction
         if surface.radius_mm and math.isfinite(surface.radius_mm):
-            found.append(
-                Parameter(f"{prefix}radius_mm", "lens", TYPICAL["radius"] * fraction * abs(surface.radius_mm))
-            )
-        if surface_number < len(lens.surfaces):
-            found.append(Parameter(f"{prefix}thickness_mm", "lens", TYPICAL["thickness"]))
-        if surface.semi_diameter_mm is not None:
-            found += [Parameter(f"{prefix}figure_{j}_um", "lens", FIGURE_TYPICAL_UM) for j in figure_terms]
+            typical["radius_mm"] = TYPICAL["radius"] * fraction * abs(surface.radius_mm)
+        if n + 1 < len(lens.surfaces):
+            typical["thickness_mm"] = TYPICAL["thickness"]
+        head, path = f"surface_{n + 1}_", ("surface_perturbations", n)
+        found += [SurfaceChange(head + one, (*path, one), size) for one, size in typical.items()]
+        if (semi_mm := surface.semi_diameter_mm) is not None:
+            given = (*path, "figure"), FIGURE_TYPICAL_UM
+            found += [
+                FigureTerm(f"{head}figure_{j}_um", *given, index=j, semi_diameter_mm=semi_mm)
+                for j in figure_terms
+            ]
     return found
 
 
-def _with_light(unknowns: Unknowns, state: SystemState) -> SystemState:
-    values, light = unknowns.values, state.light
-    modes = {"amplitude": dict(light.amplitude), "phase": dict(light.phase_waves)}
-    for name, value in values.items():
-        if match := LIGHT_MODE.fullmatch(name):
-            modes[match[1]][light_orders(name)] = value
-    tilt_deg = _pair(values, "light_tilt_{}_deg", light.tilt_deg)
-    found = replace(light, tilt_deg=tilt_deg, amplitude=modes["amplitude"], phase_waves=modes["phase"])
-    return replace(state, light=found)
-
-
-def _with_camera(unknowns: Unknowns, state: SystemState) -> SystemState:
-    values = unknowns.values
-    planes = max(
-        (int(n.split("_")[1]) for n in values if n.startswith("plane_") and "_distance_" not in n), default=0
-    )
-    shifts = _extended(state.plane_shifts_um, planes, (0.0, 0.0))
-    backgrounds = _extended(state.plane_backgrounds, planes, 0.0)
-    slopes = _extended(state.plane_background_slopes, planes, (0.0, 0.0))
-    exposures = _extended(state.plane_exposure_errors, planes, 0.0)
-    for n in range(planes):
-        shifts[n] = _pair(values, f"plane_{n + 1}_shift_{{}}_um", shifts[n])
-        slopes[n] = _pair(values, f"plane_{n + 1}_background_slope_{{}}", slopes[n])
-        exposures[n] = values.get(f"plane_{n + 1}{EXPOSURE_ERROR}", exposures[n])
-        backgrounds[n] = max(values.get(f"plane_{n + 1}_background", backgrounds[n]), 0.0)
-    variance = values.get(VIBRATION, state.vibration_um**2)
-    return replace(
-        state,
-        plane_shifts_um=tuple(shifts),
-        plane_backgrounds=tuple(backgrounds),
-        plane_background_slopes=tuple(slopes) if any(map(any, slopes)) else (),
-        plane_exposure_errors=tuple(exposures) if any(exposures) else (),
-        nonlinearity=values.get(NONLINEARITY, state.nonlinearity),
-        vibration_um=math.sqrt(max(variance, 0.0)),
-    )
-
-
-def _extended(values: Sequence[Any], count: int, default: Any) -> list[Any]:
-    """Return values with a default up to a number of planes."""
-    return [*values, *(default,) * (count - len(values))]
-
-
-def _pair(values: Mapping[str, float], name: str, own: tuple[float, float]) -> tuple[float, float]:
-    """Return the values along x and y of a parameter, or those of the state."""
-    return values.get(name.format("x"), own[0]), values.get(name.format("y"), own[1])
-
-
-def _with_lens(unknowns: Unknowns, state: SystemState) -> SystemState:
-    deltas = dict(state.surface_perturbations)
-    for n, surface in enumerate(unknowns.lens.surfaces):
-        prefix = f"surface_{n + 1}_"
-        changes = {
-            name[len(prefix) :]: v for name, v in unknowns.values.items() if name.startswith(prefix) and v
-        }
-        terms = {
-            int(name.split("_")[1]): changes.pop(name) for name in list(changes) if name.startswith("figure_")
-        }
-        perturbation: dict[str, Any] = dict(changes)
-        if terms:
-            assert surface.semi_diameter_mm is not None
-            perturbation["figure"] = surface_figure_from_zernike(terms, surface.semi_diameter_mm)
-        if perturbation:
-            deltas[n] = replace(deltas.get(n, SurfacePerturbation()), **perturbation)
-    return replace(state, surface_perturbations=deltas)
-
-
-def _with_mounting(unknowns: Unknowns, state: SystemState) -> SystemState:
-    names = [
-        n
-        for n in unknowns.values
-        if n in (*RIGID, WORKING_DISTANCE, *STOP_SHIFTS) or n.startswith(PLANE_DISTANCE.split("{}")[0])
+def _pose_parameters(lens: Lens) -> list[Parameter]:
+    tilt_deg = TYPICAL["tilt_deg"] * _size_fraction(lens)
+    return [
+        *(Decenter(name, ("pose", name), TYPICAL["decenter"]) for name in ("decenter_x_mm", "decenter_y_mm")),
+        *(LensPose(name, ("pose", name), tilt_deg) for name in ("tilt_x_deg", "tilt_y_deg")),
+        WorkingDistance(WORKING_DISTANCE, ("object_shift_mm", 2), TYPICAL["distance"]),
     ]
-    tilt_deg = _pair(unknowns.values, "sensor_tilt_{}_deg", state.sensor_tilt_deg)
-    state = replace(state, sensor_tilt_deg=tilt_deg)
-    return with_values(state, names, unknowns.of(names).tolist()) if names else state
+
+
+def _measurement(linear: LinearModel) -> FreeSpaceMeasurement | ChannelsMeasurement:
+    """Return the measurement of planes that are reached through free space."""
+    assert isinstance(linear.measurement, FreeSpaceMeasurement | ChannelsMeasurement)
+    return linear.measurement
+
+
+def _part(whole: Any, path: tuple[Any, ...]) -> Any:
+    """Return what a state, or a part of it, has at the first step of a path."""
+    key, inner = path[0], path[1:]
+    if isinstance(whole, Mapping):
+        return whole.get(key, _as_designed(inner))
+    if isinstance(whole, tuple):
+        return whole[key] if key < len(whole) else _as_designed(inner)
+    return getattr(whole, key)
+
+
+def _at(whole: Any, path: tuple[Any, ...]) -> Any:
+    return _at(_part(whole, path), path[1:]) if path else whole
+
+
+def _replaced(whole: Any, path: tuple[Any, ...], value: Any) -> Any:
+    """Return a state, or a part of it, with another value at a path."""
+    if not path:
+        return value
+    key, inner = path[0], path[1:]
+    changed = _replaced(_part(whole, path), inner, value)
+    if isinstance(whole, Mapping):
+        return {**whole, key: changed}
+    if isinstance(whole, tuple):
+        before = (*whole[:key], *(_as_designed(inner) for _ in range(key - len(whole))))
+        return (*before, changed, *whole[key + 1 :])
+    return replace(whole, **{key: changed})
+
+
+def _as_designed(path: tuple[Any, ...]) -> Any:
+    """Return what is left out of a state where nothing deviates: a number, a pair, or what a surface has."""
+    if not path:
+        return 0.0
+    return SurfacePerturbation() if isinstance(path[0], str) else (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _FigureOfTerms(SurfaceFigure):
+    """Figure of a surface that knows its Zernike terms in um."""
+
+    terms_um: Mapping[int, float]
+
+
+@lru_cache(maxsize=64)
+def _figure_of_terms(terms_um: tuple[tuple[int, float], ...], semi_diameter_mm: float) -> _FigureOfTerms:
+    """Return a figure; benches that are compared differ in few of their figures."""
+    figure = surface_figure_from_zernike(dict(terms_um), semi_diameter_mm)
+    return _FigureOfTerms(
+        figure.semi_diameter_mm, figure.spacing_mm, figure.coefficients, terms_um=dict(terms_um)
+    )

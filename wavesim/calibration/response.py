@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from wavesim.calibration.motion import gradient, motion
-from wavesim.calibration.mounting_parameters import WORKING_DISTANCE, plane_of
+from wavesim.calibration.parameters import LensPose, Parameter, PlaneDistance, WorkingDistance
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.forward.channel_model import ChannelModel
@@ -48,7 +48,7 @@ def mounting_response(
     model: ChannelModel,
     transmission: ComplexArray,
     mounting: SystemState,
-    parameters: Sequence[str],
+    parameters: Sequence[Parameter],
     *,
     blur_pixels: float = 0.0,
     fits_scale: bool = False,
@@ -64,7 +64,7 @@ def mounting_response(
     mounting
         Mounting of the model's lens.
     parameters
-        Names of the parameters for which derivatives are computed.
+        Parameters for which derivatives are computed.
     blur_pixels
         Standard deviation, in pixels, of a Gaussian that smooths all intensities.
     fits_scale
@@ -74,9 +74,9 @@ def mounting_response(
     exit_field = model.engine.forward(lit)
     spectrum = scipy.fft.fftn(exit_field.values, workers=-1)
     lens_changes = {
-        name: scipy.fft.fftn(_exit_field_change(model, lit, exit_field, mounting, name), workers=-1)
-        for name in parameters
-        if plane_of(name) is None
+        parameter: scipy.fft.fftn(_exit_field_change(model, lit, exit_field, mounting, parameter), workers=-1)
+        for parameter in parameters
+        if isinstance(parameter, LensPose | WorkingDistance)
     }
     kz = PlaneWaves.of(exit_field.grid, exit_field.wavelength_um, exit_field.index).kz
     along_z = 1j * kz.astype(model.illumination.values.real.dtype)
@@ -87,11 +87,10 @@ def mounting_response(
         measured.append(np.ravel(root_weight * own.amplitude_of(plane.amplitude**2)))
         modelled.append(np.ravel(root_weight * own.amplitude))
         rows = []
-        for name in parameters:
-            moved_plane = plane_of(name)
-            if moved_plane is None:
-                rows.append(np.ravel(root_weight * own.amplitude_change(lens_changes[name])))
-            elif moved_plane == plane_index:
+        for parameter in parameters:
+            if parameter in lens_changes:
+                rows.append(np.ravel(root_weight * own.amplitude_change(lens_changes[parameter])))
+            elif isinstance(parameter, PlaneDistance) and parameter.plane == plane_index:
                 rows.append(np.ravel(root_weight * own.amplitude_change(along_z * spectrum)))
             else:
                 rows.append(np.zeros(own.amplitude.size, own.amplitude.dtype))
@@ -115,14 +114,18 @@ def _response(recorded: RealArray, modelled: RealArray, changes: RealArray, scal
 
 
 def _exit_field_change(
-    model: ChannelModel, lit: Field, exit_field: Field, mounting: SystemState, name: str
+    model: ChannelModel,
+    lit: Field,
+    exit_field: Field,
+    mounting: SystemState,
+    parameter: LensPose | WorkingDistance,
 ) -> ComplexArray:
     """Return the change of the field on the exit grid per unit of a parameter of lens or object."""
-    if name == WORKING_DISTANCE:
+    if isinstance(parameter, WorkingDistance):
         along_z = gradient(lit)[2]
         return np.asarray(model.engine.forward(lit.with_values(along_z)).values)
-    source_motion = motion(lit, mounting, name)
-    change = motion(exit_field, mounting, name)
+    source_motion = motion(lit, mounting, parameter)
+    change = motion(exit_field, mounting, parameter)
     change -= model.engine.forward(lit.with_values(source_motion)).values
     return change
 

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from lensdesign import load_design
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.motion import motion
-from wavesim.calibration.mounting_parameters import values_of, with_values
+from wavesim.calibration.parameters import Parameter, mounting_parameters
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.system_state import SystemState
 
@@ -27,8 +28,11 @@ def periodic_direction(grid: Grid, across: int, down: int) -> np.ndarray:
     return np.array([x, y, math.sqrt(1.0 - x * x - y * y)])
 
 
-@pytest.mark.parametrize("parameter", ["decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg"])
-def test_a_plane_wave_moves_as_its_sources_do(parameter: str) -> None:
+POSE = mounting_parameters(load_design("designs/paper_singlet.toml"), 1)[:4]
+
+
+@pytest.mark.parametrize("parameter", POSE, ids=lambda parameter: parameter.name)
+def test_a_plane_wave_moves_as_its_sources_do(parameter: Parameter) -> None:
     """The field at a point is what it was where that point came from."""
     grid = Grid((64, 64), 0.6e-3, 0.4)
     direction = periodic_direction(grid, 9, -5)
@@ -36,9 +40,8 @@ def test_a_plane_wave_moves_as_its_sources_do(parameter: str) -> None:
     found = motion(Field(grid, plane_wave(grid, direction), 0.532), mounting, parameter)
 
     def moved(amount: float) -> np.ndarray:
-        rotation, shift = with_values(
-            mounting, [parameter], values_of(mounting, [parameter]) + amount
-        ).pose.transform()
+        there = parameter.set(mounting, parameter.value(mounting) + amount)
+        rotation, shift = there.pose.transform()
         start_rotation, start_shift = mounting.pose.transform()
         r = np.stack(np.broadcast_arrays(grid.x_mm[None, :], grid.y_mm[:, None], grid.z_mm), axis=-1)
         own = (r - shift[0]) @ rotation[0]  # to the lens's frame as moved

@@ -7,7 +7,7 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.mounting_parameters import parameter_names, values_of, with_values
+from wavesim.calibration.parameters import mounting_parameters
 from wavesim.calibration.response import mounting_response
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
@@ -16,8 +16,9 @@ from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import Measurement, placed_planes
 
-NAMES = parameter_names(2)
-STEPS = dict.fromkeys(NAMES, 5e-5) | {"tilt_x_deg": 0.01, "tilt_y_deg": 0.01, "working_distance_mm": 2e-4}
+LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+PARAMETERS = mounting_parameters(LENS, 2)
+STEPS = {"tilt_x_deg": 0.01, "tilt_y_deg": 0.01, "working_distance_mm": 2e-4}
 HERE = SystemState(Pose(decenter_x_mm=1e-3, tilt_y_deg=0.2), plane_distance_errors_mm=(1e-3, 0.0))
 
 
@@ -25,10 +26,9 @@ class Bench:
     """Bars behind a small twin, with a mounting that can be moved."""
 
     def __init__(self) -> None:
-        lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
-        grid = Grid((120, 120), 4.2e-4, lens.object_z_mm)
-        exit_grid = Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
-        self.scene = Scene(lens, grid, exit_grid, 0.532)
+        grid = Grid((120, 120), 4.2e-4, LENS.object_z_mm)
+        exit_grid = Grid((216, 216), 3.2e-3, LENS.exit_vertex_z_mm + 0.08)
+        self.scene = Scene(LENS, grid, exit_grid, 0.532)
         radius = np.hypot(grid.y_mm[:, None], grid.x_mm)
         stop = 1.0 / (1.0 + np.exp((radius - 0.02) / 5e-4))
         self.light = Field(grid, stop.astype(np.complex64), 0.532)
@@ -58,12 +58,13 @@ def bench() -> Bench:
 def test_derivatives_are_those_of_the_engine(bench: Bench, blur_pixels: float, fill_factor: float) -> None:
     """Light near the aperture's edge, which moves with the lens but not in the generator, is what differs."""
     found = mounting_response(
-        bench.model(HERE, fill_factor), bench.transmission, HERE, NAMES, blur_pixels=blur_pixels
+        bench.model(HERE, fill_factor), bench.transmission, HERE, PARAMETERS, blur_pixels=blur_pixels
     )
-    for name, change in zip(NAMES, found.changes, strict=True):
-        value, step = values_of(HERE, [name])[0], STEPS[name]
+    for parameter, change in zip(PARAMETERS, found.changes, strict=True):
+        name, value = parameter.name, parameter.value(HERE)
+        step = STEPS.get(name, 5e-5)
         up, down = (
-            bench.response(with_values(HERE, [name], [value + s]), fill_factor, blur_pixels=blur_pixels)
+            bench.response(parameter.set(HERE, value + s), fill_factor, blur_pixels=blur_pixels)
             for s in (step, -step)
         )
         numeric = (down - up) / (2.0 * step)  # the residual falls as the model grows
@@ -74,9 +75,9 @@ def test_derivatives_are_those_of_the_engine(bench: Bench, blur_pixels: float, f
 
 def test_a_scale_that_is_fitted_takes_its_part_out(bench: Bench) -> None:
     model = bench.model(HERE)
-    fitted = mounting_response(model, bench.transmission, HERE, NAMES, fits_scale=True)
+    fitted = mounting_response(model, bench.transmission, HERE, PARAMETERS, fits_scale=True)
     model.scale = 3.0
-    again = mounting_response(model, bench.transmission, HERE, NAMES, fits_scale=True)
+    again = mounting_response(model, bench.transmission, HERE, PARAMETERS, fits_scale=True)
     assert again.misfit == pytest.approx(fitted.misfit)
     assert again.changes == pytest.approx(fitted.changes, abs=1e-5 * np.abs(fitted.changes).max())
     assert fitted.misfit < mounting_response(model, bench.transmission, HERE, ()).misfit
@@ -84,7 +85,7 @@ def test_a_scale_that_is_fitted_takes_its_part_out(bench: Bench) -> None:
 
 def test_unknown_pixels_do_not_count(bench: Bench) -> None:
     model = bench.model(HERE)
-    before = mounting_response(model, bench.transmission, HERE, NAMES[:1], blur_pixels=2.0)
+    before = mounting_response(model, bench.transmission, HERE, PARAMETERS[:1], blur_pixels=2.0)
     spoilt = []
     for plane in bench.recorded:
         sigma, amplitude = np.ones(plane.amplitude.shape), plane.amplitude.copy()
@@ -92,5 +93,5 @@ def test_unknown_pixels_do_not_count(bench: Bench) -> None:
         amplitude[100:110, 100:110] = 1e3
         spoilt.append(Measurement(plane.distance_mm, amplitude, sigma))
     masked = ChannelModel.of_source(model.engine, model.illumination, placed_planes(spoilt, HERE), 1.0, 0.0)
-    after = mounting_response(masked, bench.transmission, HERE, NAMES[:1], blur_pixels=2.0)
+    after = mounting_response(masked, bench.transmission, HERE, PARAMETERS[:1], blur_pixels=2.0)
     assert after.misfit == pytest.approx(before.misfit, rel=0.02)

@@ -23,8 +23,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
-from wavesim.calibration.joint.pixels import plane_index_of
-from wavesim.calibration.parameters import Parameter, background_orders
+from wavesim.calibration.parameters import Background, Parameter
 from wavesim.forward.linear_model import RealArray
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.sensor.measurement import DARK, Measurement
@@ -98,9 +97,9 @@ def background_of_clipping(parameters: Sequence[Parameter], recorded: Sequence[M
     # Clipped noise looks like a background of this size.
     clipped_noise = 0.17
     for index, parameter in enumerate(parameters):
-        if background_orders(parameter.name) != (0, 0):
+        if not isinstance(parameter, Background):
             continue
-        plane = recorded[plane_index_of(parameter)]
+        plane = recorded[parameter.plane]
         if plane.sigma is not None:
             dark = np.min(plane.sigma[plane.amplitude == plane.amplitude.min()])
             mean = float(np.mean(plane.amplitude.astype(float) ** 2))

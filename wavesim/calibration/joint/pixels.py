@@ -21,16 +21,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.analysis.paraxial import first_order
-from wavesim.calibration.parameters import (
-    EXPOSURE_ERROR,
-    NONLINEARITY,
-    SENSOR_TILTS,
-    VIBRATION,
-    Parameter,
-    Unknowns,
-    background_orders,
-    light_orders,
-)
+from wavesim.calibration.parameters import LightPhase, Parameter, SensorPosition, Unknowns
 from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.engines.eikonal.perturbed_tiles import (
     PathDerivatives,
@@ -42,7 +33,7 @@ from wavesim.engines.eikonal.perturbed_tiles import (
 )
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.channel_model import ChannelModel
-from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
+from wavesim.forward.linear_model import ComplexArray, LinearModel, RealArray
 from wavesim.forward.stacked_channels import ChannelsMeasurement
 from wavesim.reconstruction.source_search import modes_on
 from wavesim.scene.engine import Engine, GridPair, Grids, Operator
@@ -70,15 +61,15 @@ class RayDerivatives:
 
     Attributes
     ----------
-    names : tuple of str
-        Names of the parameters.
+    parameters : tuple of Parameter
+        The parameters.
     planes : sequence of PathDerivatives
         Path derivatives of the tiles to the exit grid, or to each plane.
     parts : sequence
         For each of `planes`, the samples of the object in each tile.
     """
 
-    names: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     planes: Sequence[PathDerivatives]
     parts: Sequence[TileParts]
 
@@ -87,7 +78,7 @@ class RayDerivatives:
         cls, parameters: Sequence[Parameter], planes: Sequence[PathDerivatives], engine: Operator
     ) -> RayDerivatives:
         """Return the derivatives of an engine's tiles for parameters, in their order."""
-        return cls(tuple(p.name for p in parameters), planes, _tile_parts(engine))
+        return cls(tuple(parameters), planes, _tile_parts(engine))
 
     def apply_to(self, engine: Operator) -> bool:
         """Return whether an engine has the tiles of these derivatives.
@@ -98,7 +89,7 @@ class RayDerivatives:
 
     def plane(self, plane_index: int, parameters: Sequence[Parameter]) -> PathDerivatives:
         """Return the path derivatives to a plane for some of the parameters."""
-        indices = [self.names.index(p.name) for p in parameters]
+        indices = [self.parameters.index(parameter) for parameter in parameters]
         return [[tile[index] for index in indices] for tile in self.planes[plane_index]]
 
 
@@ -168,20 +159,16 @@ class CalibrationPixels(ABC):
         for n, parameter in enumerate(parameters):
             if self._acts_on_rays(parameter):
                 result[n] = next(ray_columns)
-            elif parameter.group == "light":
+            elif isinstance(parameter, LightPhase):
                 # Amplitude and phase of one mode have the same shape, so that one propagation serves both.
-                orders, change = light_orders(parameter.name), self.light_change(unknowns, parameter)
+                orders, change = parameter.orders, self.light_change(unknowns, parameter)
                 mode = light_mode(orders, change.shape)
                 if orders not in mode_fields:
                     mode_fields[orders] = linear.exit_field_change_of_light(mode)
                 mode_factor = np.complex64(np.vdot(mode, change) / np.vdot(mode, mode))
                 result[n] = linear.jacobian_times_exit_field(mode_factor * mode_fields[orders])
-            elif (background := background_orders(parameter.name)) is not None:
-                result[n] = linear.jacobian_times_background(plane_index_of(parameter), background)
-            elif parameter.name.endswith(EXPOSURE_ERROR):
-                result[n] = linear.jacobian_times_exposure(plane_index_of(parameter))
             else:
-                result[n] = self._camera_column(linear, parameter)
+                result[n] = parameter.column(linear)
         return result
 
     @abstractmethod
@@ -205,10 +192,6 @@ class CalibrationPixels(ABC):
         derivatives: RayDerivatives | None,
     ) -> Iterable[RealArray]:
         """Return changes of the modelled amplitudes per unit of each parameter that acts on the rays."""
-
-    @abstractmethod
-    def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
-        """Return the change of the modelled amplitudes with another parameter of the camera."""
 
     def light_change(self, unknowns: Unknowns, parameter: Parameter) -> NDArray[Any]:
         """Return the relative change of the illumination per unit of a parameter."""
@@ -283,32 +266,11 @@ class DensePixels(CalibrationPixels):
             for p, state in zip(parameters, states, strict=True)
         ]
 
-    def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
-        name, measurement = parameter.name, linear.measurement
-        if name == NONLINEARITY:
-            return linear.jacobian_times_nonlinearity()
-        assert isinstance(measurement, FreeSpaceMeasurement | ChannelsMeasurement)
-        if name in SENSOR_TILTS:
-            return linear.amplitude_changes(measurement.by_tilt(SENSOR_TILTS.index(name)))
-        if name == VIBRATION:
-            return linear.amplitude_changes(measurement.by_blur())
-        plane = plane_index_of(parameter)
-        if name.startswith("plane_distance"):
-            return linear.amplitude_change_on_plane(plane, measurement.by_distance(plane))
-        return linear.amplitude_change_on_plane(
-            plane, measurement.by_shift(plane, "xy".index(name.split("_")[3]))
-        )
-
-
-def plane_index_of(parameter: Parameter) -> int:
-    """Return the index (from 0) of the plane of a camera parameter."""
-    return next(int(word) for word in parameter.name.split("_") if word.isdecimal()) - 1
-
 
 def stepped(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
     """Return the bench with a small step of one parameter."""
-    here = unknowns.values.get(parameter.name, 0.0)
-    return unknowns.changed([parameter.name], [here + parameter.small])
+    here = unknowns.values.get(parameter, 0.0)
+    return unknowns.changed([parameter], [here + parameter.small])
 
 
 class TilesToPlanes:
@@ -366,11 +328,7 @@ class SparsePixels(CalibrationPixels):
         return ChannelModel.of_source(operator, light, planes, self.scale, rows=self.rows)
 
     def _acts_on_rays(self, parameter: Parameter) -> bool:
-        return not (
-            parameter.group == "light"
-            or background_orders(parameter.name) is not None
-            or parameter.name.endswith(EXPOSURE_ERROR)
-        )
+        return parameter.group in ("lens", "mounting") or isinstance(parameter, SensorPosition)
 
     def ray_derivatives(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
@@ -403,9 +361,6 @@ class SparsePixels(CalibrationPixels):
         ]
         changes = (np.concatenate(parts) for parts in zip(*planes, strict=True))
         return map(linear.jacobian_times_exit_field, changes)
-
-    def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
-        raise AssertionError(f"{parameter.name}: changes rays, not the camera")
 
     def reaches_directly(self, plane_index: int) -> bool:
         """Return whether tiles reach a plane without free space."""

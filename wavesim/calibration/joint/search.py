@@ -49,7 +49,7 @@ from wavesim.calibration.joint.object_position import (
 from wavesim.calibration.joint.pixels import CalibrationPixels, RayDerivatives
 from wavesim.calibration.joint.selection import count_not_needed, eliminated_in_turn
 from wavesim.calibration.object_uncertainty import ObjectUncertainty, object_uncertainty
-from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
+from wavesim.calibration.parameters import LightAmplitude, Parameter, SensorTilt, Unknowns
 from wavesim.fields.field import Field
 from wavesim.forward.channel_model import ChannelModel
 from wavesim.forward.linear_model import LinearModel, RealArray
@@ -102,9 +102,6 @@ TRIAL_ITERATIONS, LEAST_TRIAL_GAIN = 20, 0.2
 """Iterations with and without a limit, and the fraction of the squared misfit that must disappear in them for
 the whole test. They find 0.5 and more where that finds `CLIPPED_GAIN`.
 """
-
-FOLLOWING = "light_tilt", "_shift_", "decenter"
-"""Parts of the names of parameters that follow a displaced object."""
 
 DISPLACEMENT_ORDERS = 3
 """Orders of the displacement of an object on a dark ground that are eliminated exactly. Decenter and light
@@ -290,9 +287,7 @@ class JointSearch:
         state = self._with_trial(state, current.unknowns, current.misfit)
         reference = self._reference_tiles(current)
         if state.stage == 0:
-            # Prefixes of the names of parameters that are sought after all others.
-            last_parameters = "light_amplitude", "sensor_tilt"
-            first_parameters = tuple(p for p in self.parameters if not p.name.startswith(last_parameters))
+            first_parameters = tuple(p for p in self.parameters if not p.is_sought_last)
             if not self._is_near_noise(current):
                 state, current = self._descend(
                     state, current, reference, first_parameters or self.parameters
@@ -356,18 +351,16 @@ class JointSearch:
         self, best: _BenchFit, equations: GaussNewtonStep, state: SearchState, reason: str
     ) -> FitResult:
         """Return the bench of the last estimates, or the one before if that is better; all are needed."""
-        names = [p.name for p in self.parameters]
-        last = best.unknowns.changed(names, self._estimates(best, equations).tolist())
+        last = best.unknowns.changed(self.parameters, self._estimates(best, equations).tolist())
         best = self._fit_within((EQUAL_RATIO * best.misfit) ** 2, last, best) or best
-        needed = np.ones(len(names), bool)
+        needed = np.ones(len(self.parameters), bool)
         end = best.misfit, state.trail, reason
-        return FitResult(best.unknowns, best.unknowns.of(names), needed, None, *end)
+        return FitResult(best.unknowns, best.unknowns.of(self.parameters), needed, None, *end)
 
     def _refined(
         self, best: _BenchFit, ray_derivatives: RayDerivatives | None
     ) -> tuple[_BenchFit, GaussNewtonStep]:
         """Return the object and its normal equations, each about the bench that the ones before estimate."""
-        names = [p.name for p in self.parameters]
         # Number of times that estimates are made. On a dark ground, each may follow a displaced object.
         is_on_dark_ground = self._is_on_dark_ground(best)
         rounds = 4 if is_on_dark_ground else 2
@@ -377,7 +370,8 @@ class JointSearch:
             if count == rounds - 1:
                 break
             estimates = self._estimates(best, equations)
-            refined = self._converged_fit_or_none(best.unknowns.changed(names, estimates.tolist()), best)
+            unknowns = best.unknowns.changed(self.parameters, estimates.tolist())
+            refined = self._converged_fit_or_none(unknowns, best)
             if refined is None or refined.misfit > EQUAL_RATIO * best.misfit:
                 break
             best = self._at_better_position(refined, equations) if is_on_dark_ground else refined
@@ -407,7 +401,6 @@ class JointSearch:
         may rise by as much without it. In frames that are explained, or whose noise is not known, errors of
         the model do not decide.
         """
-        names = [p.name for p in self.parameters]
         selections = eliminated_in_turn(estimates, covariance)
         noise = self.noise_misfit or 0.0
         is_explained = self.noise_misfit is None or best.misfit <= LIMIT * noise
@@ -416,13 +409,13 @@ class JointSearch:
 
         def fit(count: int) -> _BenchFit | None:
             """Return the fit without a number of parameters; None if its misfit is larger."""
-            unknowns = best.unknowns.changed(names, selections[count].values.tolist())
+            unknowns = best.unknowns.changed(self.parameters, selections[count].values.tolist())
             return self._fit_within(square + count * by_chance, unknowns, best)
 
         # The nominal bench comes first: small errors in stiff directions make a linear model ask for more.
         not_needed = count_not_needed(selections, covariance, self._pixel_count)
         most_fits, fits = 2 + (0 if is_explained else not_needed.bit_length()), 0
-        for count in (len(names), not_needed):
+        for count in (len(self.parameters), not_needed):
             self.on_stage("parameters that the frames need", fits, most_fits)
             fits += 1
             if (fewer := fit(count)) is not None:
@@ -467,21 +460,21 @@ class JointSearch:
         """
         # Most iterations of the object, and largest deviation of a parameter over the expected one.
         iterations, most_deviations = 4, 3.0
-        names, typical = [p.name for p in self.parameters], np.array([p.typical for p in self.parameters])
-        values = fit.unknowns.of(names)
+        typical, values = _typical(self.parameters), fit.unknowns.of(self.parameters)
         bench = values + np.array([x, y]) @ self._steps_with_samples(equations)
         bench = np.maximum(bench, _lower_bounds(self.parameters))
         if np.any(np.abs(bench) > np.maximum(most_deviations * typical, np.abs(values))):
             return None
         start = fit._replace(transmission=np.roll(fit.transmission, (y, x), (0, 1)))
         try:
-            return self._fit_bench(fit.unknowns.changed(names, bench.tolist()), fit.engine, start, iterations)
+            unknowns = fit.unknowns.changed(self.parameters, bench.tolist())
+            return self._fit_bench(unknowns, fit.engine, start, iterations)
         except TransferLensError:
             return None
 
     def _steps_with_samples(self, equations: GaussNewtonStep) -> Array:
         """Return the steps of the bench that follow a sample of displacement along x and y."""
-        follows = np.array([any(one in p.name for one in FOLLOWING) for p in self.parameters])
+        follows = np.array([p.follows_object for p in self.parameters])
         return equations.steps_with_displacements(follows)[:2]
 
     def _converged_fit_or_none(self, unknowns: Unknowns, start: _BenchFit) -> _BenchFit | None:
@@ -603,7 +596,7 @@ class JointSearch:
 
         A parameter that would leave its range ends there, and moves the others.
         """
-        values = fit.unknowns.of([p.name for p in self.parameters])
+        values = fit.unknowns.of(self.parameters)
         estimates = values + step_of(np.ones(len(values), bool), np.zeros(len(values)))
         lower_bounds = _lower_bounds(self.parameters)
         is_free = estimates >= lower_bounds
@@ -687,7 +680,7 @@ class JointSearch:
         self, current: _BenchFit, equations: GaussNewtonStep, parameters: Sequence[Parameter]
     ) -> NDArray[np.bool_]:
         """Return which parameters do not leave their range in the direction of descent."""
-        values = current.unknowns.of([p.name for p in parameters])
+        values = current.unknowns.of(parameters)
         return np.asarray((values > _lower_bounds(parameters)) | (equations.descent >= 0.0))
 
     def _is_near_noise(self, current: _BenchFit) -> bool:
@@ -705,14 +698,14 @@ class JointSearch:
         """Return the best bench along a step, or the current one."""
         # Iterations of conjugate gradients for the direction of a step.
         step_iterations = 3
-        names, step, best = [p.name for p in parameters_sought], equations.solve(step_iterations), current
+        step, best = equations.solve(step_iterations), current
         lower_bounds = _lower_bounds(parameters_sought)
         line_search = LineSearch(self._price(current), -2.0 * float(equations.descent @ step), state.stretch)
         # Misfit that is assumed where the model fails.
         failed_misfit = 4.0
         while (length := line_search.next()) is not None and len(state.trail) < self.most_benches:
-            values = np.maximum(current.unknowns.of(names) + length * step, lower_bounds)
-            unknowns = current.unknowns.changed(names, values.tolist())
+            values = np.maximum(current.unknowns.of(parameters_sought) + length * step, lower_bounds)
+            unknowns = current.unknowns.changed(parameters_sought, values.tolist())
             try:
                 fit = self._fit_bench(unknowns, reference)
             except TransferLensError:
@@ -727,7 +720,7 @@ class JointSearch:
     def _determined_parameters(self, current: _BenchFit, columns: RealArray) -> tuple[Parameter, ...]:
         """Return all parameters except sensor tilts that frames of a known object would not determine."""
         flat = columns.reshape(len(columns), -1)
-        typical = np.array([p.typical for p in self.parameters])
+        typical = _typical(self.parameters)
         information = (
             np.asarray(flat @ flat.T, float) * np.outer(typical, typical) / _variance(current.misfit)
         )
@@ -736,7 +729,7 @@ class JointSearch:
         # Standard deviation of a sensor tilt over the expected one above which the tilt is not sought.
         undetermined_tilt = 0.8
         return tuple(
-            p for p, deviation in pairs if p.name not in SENSOR_TILTS or deviation < undetermined_tilt
+            p for p, deviation in pairs if not isinstance(p, SensorTilt) or deviation < undetermined_tilt
         )
 
     def _price(self, fit: _BenchFit) -> float:
@@ -744,8 +737,8 @@ class JointSearch:
 
         It corresponds to the logarithm of a probability with an unknown variance of the residuals.
         """
-        values = fit.unknowns.of([p.name for p in self.parameters])
-        squared_deviation = float(np.sum((values / [p.typical for p in self.parameters]) ** 2))
+        values = fit.unknowns.of(self.parameters)
+        squared_deviation = float(np.sum((values / _typical(self.parameters)) ** 2))
         return fit.misfit**2 * math.exp(MODEL_FRACTION * squared_deviation)
 
     def _with_trial(self, state: SearchState, unknowns: Unknowns, misfit: float) -> SearchState:
@@ -829,15 +822,13 @@ class JointSearch:
         variance: float,
         residual: RealArray | None = None,
     ) -> GaussNewtonStep:
-        values = fit.unknowns.of([p.name for p in parameters])
-        typical = np.array([p.typical for p in parameters])
         object_is_free = self.known is None
         is_on_dark_ground = self._is_on_dark_ground(fit)
         return GaussNewtonStep(
             fit.linear,
             columns,
-            values,
-            typical,
+            fit.unknowns.of(parameters),
+            _typical(parameters),
             variance,
             fit.transmission,
             self.kind,
@@ -850,11 +841,15 @@ class JointSearch:
 
     def _compensations(self, fit: _BenchFit, parameters: Sequence[Parameter]) -> dict[int, NDArray[Any]]:
         """Return the changes of an amplitude object that compensate a unit of the light's amplitude."""
-        light = {n: p for n, p in enumerate(parameters) if p.name.startswith("light_amplitude")}
+        light = {n: p for n, p in enumerate(parameters) if isinstance(p, LightAmplitude)}
         if np.iscomplexobj(fit.transmission):
             return {}
         changes = {n: self.pixels.light_change(fit.unknowns, p).real for n, p in light.items()}
         return {n: -change.astype(np.float32) * fit.transmission for n, change in changes.items()}
+
+
+def _typical(parameters: Sequence[Parameter]) -> Array:
+    return np.array([p.typical for p in parameters])
 
 
 def _lower_bounds(parameters: Sequence[Parameter]) -> Array:

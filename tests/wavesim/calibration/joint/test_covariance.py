@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lensdesign import load_design
 from wavesim.calibration.joint.covariance import (
     background_of_clipping,
     covariance_of_estimates,
     residual_variance,
 )
-from wavesim.calibration.parameters import Parameter
+from wavesim.calibration.parameters import bench_parameters, chosen_parameters
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 
 PARAMETERS, PIXELS = 3, 400
 
-NO_PARAMETERS = (Parameter("index", "lens", 1.0),) * PARAMETERS
+BENCH = bench_parameters(load_design("designs/paper_singlet.toml"), 2, 1.0, 0.5)
+NO_PARAMETERS = chosen_parameters("surface_1_index", BENCH) * PARAMETERS
 """Parameters that are no backgrounds."""
 
 
@@ -83,14 +85,13 @@ def test_without_standard_deviations_the_residuals_are_the_evidence() -> None:
 
 
 def test_clipped_noise_adds_to_backgrounds_of_planes_with_noise_alone() -> None:
-    parameters = [Parameter("decenter_x_mm", "mounting", 1.0)]
-    parameters += [Parameter(f"plane_{n}_background", "camera", 1.0) for n in (1, 2)]
+    parameters = chosen_parameters("plane_1_background,plane_2_background,decenter_x_mm", BENCH)
     amplitude = np.array([0.0, 1.0, 1.0])
     planes: list[Any] = [
         SimpleNamespace(amplitude=amplitude, sigma=np.full(3, 0.1)),
         SimpleNamespace(amplitude=amplitude, sigma=None),
     ]
-    nothing, background, unknown = background_of_clipping(parameters, planes)
+    background, unknown, nothing = background_of_clipping(parameters, planes)
     assert nothing == unknown == 0.0 < background
     planes[0].sigma = np.full(3, 0.2)
-    assert background_of_clipping(parameters, planes)[1] == pytest.approx(4.0 * background)
+    assert background_of_clipping(parameters, planes)[0] == pytest.approx(4.0 * background)

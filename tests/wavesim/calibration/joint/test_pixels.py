@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_twins import PIXEL_MM, WAVELENGTH_UM, bars_under_stop, lit_within, twin_scene
+from small_twins import PIXEL_MM, WAVELENGTH_UM, bars_under_stop, lit_within, twin_scene, unknowns
 
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.joint.pixels import DensePixels, SparsePixels, TilesToPlanes, padded_to_fast_shape
@@ -61,18 +61,18 @@ def seen() -> tuple[Lens, DensePixels, SparsePixels, np.ndarray]:
 
 def test_pixels_see_what_they_see_among_all(seen: tuple) -> None:
     lens, every, some, bars = seen
-    bench = Unknowns(lens, values=BENCH)
+    bench = unknowns(BENCH, lens)
     whole, points = (one.model(bench).amplitudes(bars) for one in (every, some))
     # On the second plane of so small a lens, tiles and free space draw the light's rim differently.
     for one, own, most in zip(whole, points, (1e-3, 0.1), strict=True):
         assert np.linalg.norm(one[::2, ::2] - own) < most * np.linalg.norm(own)
-    nominal = some.model(Unknowns(lens)).amplitudes(bars)
+    nominal = some.model(Unknowns()).amplitudes(bars)
     assert np.linalg.norm(nominal[1] - points[1]) > 0.3 * np.linalg.norm(points[1])
 
 
 def test_the_way_back_is_the_adjoint(seen: tuple) -> None:
     lens, _, some, bars = seen
-    operator = some.model(Unknowns(lens, values=BENCH)).engine
+    operator = some.model(unknowns(BENCH, lens)).engine
     assert isinstance(operator, TilesToPlanes)
     rng = np.random.default_rng(2)
     scene = operator.scene
@@ -102,14 +102,14 @@ def test_the_way_back_is_the_adjoint(seen: tuple) -> None:
 def test_columns_are_the_slopes_of_the_residuals(seen: tuple, name: str) -> None:
     """About a bench that is not as designed, so that tiles are turned already."""
     lens, _, some, bars = seen
-    bench = Unknowns(lens, values=BENCH | {"plane_2_background": 0.01})
+    bench = unknowns(BENCH | {"plane_2_background": 0.01}, lens)
     allowed = *bench_parameters(lens, 2, 0.025, WAVELENGTH_UM), *field_stop_parameters(0.025)
     (parameter,) = chosen_parameters(name, allowed)
     here = LinearModel(some.model(bench), bars, False)
     (column,) = some.columns(bench, here, (parameter,))
     # What a tilt of the sensor does is near the rounding of single precision.
     step = (2.0 if name.startswith("sensor") else 0.2) * parameter.small
-    there = bench.changed([name], [bench.values.get(name, 0.0) + step])
+    there = bench.changed([parameter], [bench.values.get(parameter, 0.0) + step])
     reference = here.model.engine
     moved = LinearModel(some.model(there, reference), bars, False)
     change = (here.residual - moved.residual) / step
@@ -119,14 +119,14 @@ def test_columns_are_the_slopes_of_the_residuals(seen: tuple, name: str) -> None
 @pytest.mark.parametrize("source", [Source(0.5), Source(0.0, 20.0)])
 def test_columns_of_several_modes_are_the_slopes_of_the_residuals(seen: tuple, source: Source) -> None:
     lens, every, _, bars = seen
-    bench = Unknowns(lens, SystemState(source=source), BENCH)
+    bench = unknowns(BENCH, lens, SystemState(source=source))
     allowed = bench_parameters(lens, 2, 0.025, WAVELENGTH_UM)
     parameters = chosen_parameters("decenter_y_mm,surface_2_radius_mm", allowed)
     here = LinearModel(every.model(bench), bars, False)
     columns = every.columns(bench, here, parameters)
     for parameter, column in zip(parameters, columns, strict=True):
-        name, step = parameter.name, 0.2 * parameter.small
-        there = bench.changed([name], [bench.values.get(name, 0.0) + step])
+        step = 0.2 * parameter.small
+        there = bench.changed([parameter], [bench.values.get(parameter, 0.0) + step])
         moved = LinearModel(every.model(there, here.model.engine), bars, False)
         change = (here.residual - moved.residual) / step
         assert np.linalg.norm(change - column) < 0.1 * np.linalg.norm(column)
@@ -142,7 +142,7 @@ def test_derivatives_of_other_tiles_are_computed_again() -> None:
         )
         for width in (0.06, 0.03)
     )
-    bench = Unknowns(scene.lens)
+    bench = Unknowns()
     parameters = chosen_parameters("decenter_x_mm", bench_parameters(scene.lens, 1, 0.06, WAVELENGTH_UM))
     here, other = (LinearModel(pixels.model(bench), bars, False) for pixels in (divided, whole))
     given = [
@@ -184,6 +184,6 @@ def test_what_is_fast_or_without_noise_stays() -> None:
 
 def test_points_are_not_blurred(seen: tuple) -> None:
     lens, _, some, _ = seen
-    model = some.model(Unknowns(lens, SystemState(vibration_um=1.0), BENCH))
+    model = some.model(unknowns(BENCH, lens, SystemState(vibration_um=1.0)))
     assert model.pixels is None
     assert [plane.blur_mm for plane in model.recorded] == [0.0, 0.0]
