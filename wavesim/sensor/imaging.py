@@ -403,8 +403,6 @@ def _coloured_objects(
     """Return the object at each of several wavelengths."""
     assert settings.wavelengths_um is not None
     wavelengths = settings.wavelengths_um
-    if settings.wavelength_um is not None:
-        raise SettingError("{wavelength_um}, {wavelengths_um}: give only one of them")
     if settings.ghosts != "none" or settings.ghost:
         raise SettingError("{ghosts}, {ghost}: cannot be used with {wavelengths_um}")
     if settings.layers_um is not None:
