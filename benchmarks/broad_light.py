@@ -32,7 +32,7 @@ from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
 from wavesim.sensor.imaging import Imaged
 from wavesim.sensor.sensor import sensor_grid
-from wavesim.sensor.windows import light_window
+from wavesim.sensor.windows import footprint_mm, light_window
 from wavesim.targets.patch import lit
 
 WAVELENGTHS, SAMPLES_PER_PIXEL, UPSAMPLING = 41, 3, 2
@@ -243,7 +243,7 @@ def broad_frames(
         Seed of the noise.
     """
     planes_mm, patch = taken.recording.plane_distances_mm, taken.patch
-    wide = light_window(lens, patch, taken.sensor, planes_mm[-1], state)
+    wide = light_window(taken.sensor, footprint_mm(lens, patch, planes_mm[-1], state))
     # Pixels are added in pairs, so that those of the sensor stay in place.
     margins = [-(-(n - own) // 2) for n, own in zip(wide.pixels, taken.sensor.pixels, strict=True)]
     window = wide.replaced(
@@ -303,8 +303,8 @@ def _box_means(values: NDArray[np.complex128]) -> NDArray[np.float64]:
 def _recorded(
     intensity: NDArray[np.float64], plane_mm: float, taken: Imaged, random: np.random.Generator
 ) -> list[Frame]:
-    camera, frames = taken.recording.electronics, []
-    unit = taken.recording.peak_fill * camera.full_well_electrons / float(intensity.max())
+    camera, frames = taken.recording.camera.electronics, []
+    unit = taken.recording.camera.peak_fill * camera.full_well_electrons / float(intensity.max())
     for exposure in EXPOSURES:
         electrons = random.poisson(unit * exposure * intensity).astype(float)
         electrons = np.minimum(electrons, camera.full_well_electrons)

@@ -29,7 +29,7 @@ from wavesim import (
 )
 from wavesim.fields.coverage import rectangle, rectangle_coverage
 from wavesim.metrics import element_contrasts, object_correlation, smallest_resolved_element, transmitted_part
-from wavesim.sensor import plane_seeds, record, recorded_planes
+from wavesim.sensor import Camera, Frame, light_on_pixels, plane_seeds, recorded_planes
 from wavesim.targets import usaf_chart, usaf_elements_within
 
 SIDE_MM, PITCH_MM, PIXELS, PIXEL_MM = 0.38, 0.4256e-3, 864, 3.2e-3
@@ -106,9 +106,12 @@ def frames(case: Case, seed: int = 1) -> list[Measurement]:
     """Amplitudes estimated from a camera's frames, each exposed for itself, and their standard deviations."""
     share = BRIGHTEST_ELECTRONS / CAMERA.full_well_electrons
     planes = zip(PLANES_MM, case.fields, plane_seeds(seed, len(PLANES_MM)), strict=True)
-    return recorded_planes(
-        [record(field, SENSOR, distance, CAMERA, one, peak_fill=share) for distance, field, one in planes]
-    )
+    camera = Camera(SENSOR, CAMERA, peak_fill=share)
+    found: list[Frame] = []
+    for distance, field, one in planes:
+        light = light_on_pixels(field, SENSOR, fill_factor=CAMERA.fill_factor)
+        found += camera.frames(light, distance, field.wavelength_um, one)
+    return recorded_planes(found)
 
 
 def from_points() -> list[Row]:

@@ -22,9 +22,9 @@ from wavesim import Field, Frame, image, reconstruct_frames
 from wavesim.fields.field import Grid
 from wavesim.fields.propagator import propagate
 from wavesim.scene.scene import placed_light
-from wavesim.sensor import frames_of_light, light_on_pixels, plane_seeds, sensor_grid
+from wavesim.sensor import Camera, light_on_pixels, plane_seeds, sensor_grid
 from wavesim.sensor.imaging import Imaged
-from wavesim.sensor.windows import light_window
+from wavesim.sensor.windows import footprint_mm, light_window
 from wavesim.targets.patch import lit
 
 SCALE, OVERSAMPLING = 1 / 32, 8
@@ -56,7 +56,8 @@ def with_screen(smooth: Imaged, fraction: float, length_um: float, seed: int) ->
     light = placed_light(lit(smooth.patch, smooth.settings), recording.state)
     first = engine.forward(light.with_values(light.values * smooth.target.transmission.values))
     seeds, frames = plane_seeds(recording.seed, len(recording.plane_distances_mm)), list[Frame]()
-    window = light_window(lens, smooth.patch, smooth.sensor, max(recording.plane_distances_mm))
+    window = light_window(smooth.sensor, footprint_mm(lens, smooth.patch, max(recording.plane_distances_mm)))
+    camera = Camera(smooth.sensor, recording.camera.electronics)
 
     def fine(z_mm: float) -> Grid:
         return sensor_grid(window, lens.exit_vertex_z_mm + z_mm, OVERSAMPLING)
@@ -70,9 +71,7 @@ def with_screen(smooth: Imaged, fraction: float, length_um: float, seed: int) ->
             intensity = light_on_pixels(
                 propagate(behind, fine(plane_mm)), smooth.sensor, oversampling=OVERSAMPLING
             )
-        frames += frames_of_light(
-            intensity, smooth.sensor, plane_mm, light.wavelength_um, recording.electronics, noise, (1.0,)
-        )
+        frames += camera.frames(intensity, plane_mm, light.wavelength_um, noise)
     return tuple(frames)
 
 

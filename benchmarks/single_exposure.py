@@ -36,7 +36,7 @@ from wavesim.scene.engine import Engine
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import SourceMode
-from wavesim.sensor import frames_of_light, plane_seeds, recorded_planes
+from wavesim.sensor import Camera, plane_seeds, recorded_planes
 from wavesim.sensor.measurement import noise_misfit
 from wavesim.sensor.windows import exit_scene, sensor_window
 from wavesim.targets import field_stop, make_target, object_patch, plane_wave, point_source, speckle
@@ -244,10 +244,9 @@ def frames_of(
     planes = zip(of.planes_mm, lights, brightest, plane_seeds(1, len(lights)), strict=True)
     for plane_mm, light, peak, seed in planes:
         # The default of the peak fill, 0.8, gives the brightest pixel `peak` electrons.
-        camera = Electronics(full_well_electrons=1.25 * peak, bits=bits)
-        found += frames_of_light(
-            light, of.sensor, plane_mm, of.patch.wavelength_um, camera, seed, tuple(times)
-        )
+        electronics = Electronics(full_well_electrons=1.25 * peak, bits=bits)
+        camera = Camera(of.sensor, electronics, tuple(times))
+        found += camera.frames(light, plane_mm, of.patch.wavelength_um, seed)
     return found
 
 

@@ -15,7 +15,7 @@ from wavesim.reconstruction import Retrieved
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.sensor import frames_of_light, light_on_pixels, sensor_grid
+from wavesim.sensor.sensor import Camera, light_on_pixels, sensor_grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +39,11 @@ class Lensless:
     def frames(self, transmission: NDArray[np.complexfloating], seed: int) -> list[Frame]:
         """One of each plane, of 12 bits, set by its brightest pixel."""
         behind = self.light.with_values(self.light.values * transmission)
-        camera, found = Electronics(), list[Frame]()
+        camera, found = Camera(self.sensor, Electronics()), list[Frame]()
         for distance in self.sensor.plane_distances_mm:
             grid = sensor_grid(self.sensor, behind.grid.z_mm + distance, oversampling=2)
             light = light_on_pixels(propagate(behind, grid, check=False), self.sensor)
-            found += frames_of_light(light, self.sensor, distance, behind.wavelength_um, camera, seed, (1.0,))
+            found += camera.frames(light, distance, behind.wavelength_um, seed)
         return found
 
     def retrieved(self, frames: list[Frame], iterations: int) -> Retrieved:

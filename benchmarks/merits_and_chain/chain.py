@@ -21,9 +21,8 @@ from lensdesign.lens.lens import Lens, Sensor
 from wavesim import Electronics, Engine, Field, Grid, Measurement, SystemState, engine_for, reconstruct
 from wavesim.calibration.known_object import calibrate
 from wavesim.scene.scene import placed_light, placed_scene
-from wavesim.sensor import Recording, image_patch, recorded_planes
+from wavesim.sensor import Camera, Recorder, Recording, recorded_planes
 from wavesim.sensor.measurement import placed_planes
-from wavesim.sensor.recording import recorded_scene
 from wavesim.sensor.windows import exit_scene, sensor_window
 from wavesim.targets.illumination import field_stop, plane_wave
 from wavesim.targets.patch import Patch
@@ -107,14 +106,10 @@ class Chain:
         """What the sensor records behind a perturbed lens."""
         noise = np.random.SeedSequence(seed)
         electronics = Electronics(full_well_electrons=ELECTRONS / 0.8, bits=12)
-        recording = Recording(self.planes_mm, electronics, noise, 0.8, exposures=EXPOSURES, state=system)
+        recording = Recording(Camera(self.sensor, electronics, EXPOSURES), self.planes_mm, noise, system)
         lit = self.light.with_values(self.light.values * transmission)
-        scene = recorded_scene(self.lens, self.patch, self.sensor, recording)
-        engine = engine_for(scene, "eikonal", error=TILE_ERROR)
-        windows = [self.sensor] * len(self.planes_mm)
-        return recorded_planes(
-            image_patch(engine, placed_light(lit, system), self.sensor, windows, recording)[0]
-        )
+        engine = engine_for(recording.scene(self.lens, self.patch), "eikonal", error=TILE_ERROR)
+        return recorded_planes(Recorder(recording, engine).frames(placed_light(lit, system))[0])
 
     def found(self, planes: Sequence[Measurement], bench: SystemState | None = None) -> tuple[Array, float]:
         """Transmission of the object found with the nominal or a calibrated lens, and the misfit."""

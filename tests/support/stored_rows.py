@@ -4,7 +4,7 @@ import sqlite3
 
 TABLES = {
     "trial": "trial",
-    "dear": "trial",
+    "high_fidelity": "trial",
     "step": "series, step, merit",
     "picture": "series, step, refocused",
     "merit": "label",

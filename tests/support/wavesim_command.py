@@ -17,7 +17,8 @@ from wavesim.engines.choosing import engine_for
 from wavesim.fields.files import write_field
 from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frames import write_frame
-from wavesim.sensor.recording import Recording, image_patch
+from wavesim.sensor.recording import Recorder, Recording
+from wavesim.sensor.sensor import Camera
 from wavesim.sensor.windows import exit_scene, sensor_window
 from wavesim.targets.patch import make_illumination, make_target, object_patch
 
@@ -44,13 +45,10 @@ def write_frames(folder: Path, pose: Pose = Pose()) -> None:
     light = make_illumination(patch)
     sensor = sensor_window(lens, patch, PLANES_MM, PIXELS)
     scene = exit_scene(lens, patch, sensor, PLANES_MM[0], pose, oversampling=2)
-    frames, _ = image_patch(
-        engine_for(scene, "eikonal", error=0.3),
-        light.with_values(light.values * target.transmission.values),
-        sensor,
-        [sensor, sensor],
-        Recording(PLANES_MM, Electronics(full_well_electrons=1e6, read_noise_electrons=1.0, bits=16), 1),
-    )
+    electronics = Electronics(full_well_electrons=1e6, read_noise_electrons=1.0, bits=16)
+    recording = Recording(Camera(sensor, electronics), PLANES_MM, 1)
+    behind = light.with_values(light.values * target.transmission.values)
+    frames, _ = Recorder(recording, engine_for(scene, "eikonal", error=0.3)).frames(behind)
     for number, frame in enumerate(frames, start=1):
         write_frame(frame, folder / f"frame_{number}.tif")
     write_field(target.transmission, folder / "object.npz")

@@ -139,7 +139,7 @@ def run(
         counts = {
             "trials_run": outcome.trials_run,
             "steps_run": outcome.steps_run,
-            "dear_run": outcome.high_fidelity_run,
+            "high_fidelity_run": outcome.high_fidelity_run,
             "workers": outcome.workers,
             "seconds": outcome.seconds,
         }

@@ -146,10 +146,11 @@ class BarImagingChain:
         self, system: SystemState, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
     ) -> Recording:
         """Return the recording settings of a perturbed system; parameters as for :meth:`record`."""
-        from wavesim.sensor import Recording
+        from wavesim.sensor import Camera, Recording
 
         electronics = electronics_for(electrons, bits)
-        return Recording(self.planes_mm, electronics, noise, PEAK_FILL, state=system)
+        camera = Camera(self.sensor, electronics, peak_fill=PEAK_FILL)
+        return Recording(camera, self.planes_mm, noise, system)
 
     def record(
         self, system: SystemState, electrons: float | None, bits: int, noise: np.random.SeedSequence
@@ -179,8 +180,7 @@ class BarImagingChain:
         from wavesim import Measurement, SamplingWarning
         from wavesim.engines.choosing import engine_for
         from wavesim.scene.scene import placed_light
-        from wavesim.sensor import FootprintWarning, SaturationWarning, image_patch, recorded_planes
-        from wavesim.sensor.recording import fields_on_sensor, recorded_scene
+        from wavesim.sensor import FootprintWarning, Recorder, SaturationWarning, recorded_planes
         from wavesim.sensor.sensor import light_on_pixels
         from wavesim.sensor.surface_scatter import (
             halos_on_plane,
@@ -189,15 +189,14 @@ class BarImagingChain:
         )
 
         recording = self.recording(system, electrons, bits, noise)
-        field, windows = placed_light(self.object_field, system), [self.sensor] * len(self.planes_mm)
+        field = placed_light(self.object_field, system)
         with warnings.catch_warnings():
             for category in (FootprintWarning, SamplingWarning, SaturationWarning):
                 warnings.simplefilter("ignore", category)
-            scene = recorded_scene(self.lens, self.patch, self.sensor, recording)
-            engine = engine_for(scene, "eikonal", error=TILE_ERROR)
+            engine = engine_for(recording.scene(self.lens, self.patch), "eikonal", error=TILE_ERROR)
+            recorder = Recorder(recording, engine)
             if electrons is not None:
-                return recorded_planes(image_patch(engine, field, self.sensor, windows, recording)[0])
-            fields = fields_on_sensor(engine, field, windows, recording)
+                return recorded_planes(recorder.frames(field)[0])
             scatter = scatter_of_patch(
                 self.lens, self.patch.grid, field.wavelength_um, self.planes_mm, system
             )
@@ -207,7 +206,7 @@ class BarImagingChain:
                     self.sensor.pixel_pitch_um,
                     halos_on_plane(scatter, index),
                 )
-                for index, one in enumerate(fields)
+                for index, one in enumerate(recorder.fields(field))
             ]
         return [
             Measurement(distance - self.planes_mm[0], np.sqrt(intensity).astype(np.float32))

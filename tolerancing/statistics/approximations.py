@@ -51,8 +51,8 @@ class Approximation:
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; a difference that is not known is None."""
         return {
-            "dear": self.high_fidelity,
-            "cheap": self.low_fidelity,
+            "high_fidelity": self.high_fidelity,
+            "low_fidelity": self.low_fidelity,
             "trials": self.trials,
             "root_mean_square": finite_or_none(self.root_mean_square),
             "largest": finite_or_none(self.largest),

@@ -93,7 +93,7 @@ class SingleTrial:
                 name: _or_none(value)
                 for name, value in zip(study.extra_columns, again.extras[0], strict=True)
             },
-            "dear_scores": self.high_fidelity,
+            "high_fidelity_scores": self.high_fidelity,
             "passed": bool(again.passed[0]),
             "message": again.messages[0],
             "same_as_stored": self.same,

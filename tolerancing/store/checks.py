@@ -45,11 +45,18 @@ STEP_COLUMNS: Columns = {
 _OWN_COLUMN = re.compile(r'("[^"]*"|\w+) (REAL|(REAL|TEXT|INTEGER) NOT NULL)')
 
 
-def check_tables(connection: sqlite3.Connection) -> None:
+def check_tables(connection: sqlite3.Connection, high_fidelity: str) -> None:
     """Check that the tables of a store are those that a run creates.
 
     A view in place of a table may never end, and a trigger may change rows. Views, tables and indices of
     other names are ignored.
+
+    Parameters
+    ----------
+    connection
+        Connection to the store.
+    high_fidelity
+        Name of its table of high-fidelity scores.
 
     Raises
     ------
@@ -63,7 +70,7 @@ def check_tables(connection: sqlite3.Connection) -> None:
         raise ValueError(f"it has the trigger {triggers[0]!r}, which no run creates")
     made = (_squeezed(text) for text in SCHEMA.split(";"))
     fixed = {text.split()[2]: text for text in made if text}
-    for name in (*fixed, "trial", "dear"):  # The columns of these two depend on the study.
+    for name in (*fixed, "trial", high_fidelity):  # The columns of these two depend on the study.
         kind, sql = found.get(name, ("missing", ""))
         text = _squeezed(str(sql))
         if kind != "table" or (text != fixed[name] if name in fixed else not _is_plain(name, text)):

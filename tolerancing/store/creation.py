@@ -96,7 +96,7 @@ def remove_empty_store(path: Path) -> None:
         with closing(sqlite3.connect(f"{file.as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
             has_results = any(
                 connection.execute(f"SELECT 1 FROM {table} LIMIT 1").fetchone()
-                for table in ("trial", "dear", "step", "picture")
+                for table in ("trial", "high_fidelity", "step", "picture")
             )
         if not has_results:
             file.unlink()

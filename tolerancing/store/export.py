@@ -56,10 +56,11 @@ def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
     own = [f'trial."{name}"' for name in columns]
     if study.high_fidelity_merits:
         high: Columns = {"chosen": "text"} | {m.column: "number" for m in study.high_fidelity_merits}
-        own += [f'dear."{name}"' for name in high] + ["dear.message", "dear.seconds"]
-        columns |= high | {"dear_message": "text", "dear_seconds": "number"}
+        own += [f'refined."{name}"' for name in (*high, "message", "seconds")]
+        columns |= high | {"high_fidelity_message": "text", "high_fidelity_seconds": "number"}
     query = (
-        f"SELECT {', '.join(own)} FROM trial LEFT JOIN dear ON dear.trial = trial.trial ORDER BY trial.trial"
+        f"SELECT {', '.join(own)} FROM trial LEFT JOIN {store.high_fidelity_table} AS refined "
+        "ON refined.trial = trial.trial ORDER BY trial.trial"
     )
     with closing(store.blocks(query)) as blocks:
         _write(store, Path(path), columns, blocks)

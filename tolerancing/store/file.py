@@ -14,7 +14,7 @@ from pathlib import Path
 
 from lensdesign.common.input_files import check_input
 from lensdesign.errors import InputError
-from tolerancing.store.schema import APPLICATION_ID, SCHEMA_VERSION
+from tolerancing.store.schema import APPLICATION_ID, HIGH_FIDELITY
 
 BUSY_TIMEOUT_SECONDS = 60.0
 """Longest wait while another process writes."""
@@ -24,7 +24,7 @@ REPLACE_TIMEOUT_SECONDS = 2.0
 
 
 def check_is_store(path: Path) -> None:
-    """Check that a file is a store of the present version.
+    """Check that a file is a store of the present version, or of one that is still read.
 
     Raises
     ------
@@ -41,9 +41,10 @@ def check_is_store(path: Path) -> None:
     if header[:16] != b"SQLite format 3\0" or int.from_bytes(header[68:72]) != APPLICATION_ID:
         raise InputError(f"{path} is no store of a tolerance study; give another file name")
     schema = int.from_bytes(header[60:64])
-    if schema != SCHEMA_VERSION:
+    if schema not in HIGH_FIDELITY:
+        allowed = " and ".join(map(str, HIGH_FIDELITY))
         raise InputError(
-            f"{path} is a store of version {schema}; this toolkit reads version {SCHEMA_VERSION}: "
+            f"{path} is a store of version {schema}; this toolkit reads versions {allowed}: "
             "use the toolkit that wrote it"
         )
 

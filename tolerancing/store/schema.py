@@ -20,7 +20,10 @@ Rows = list[tuple[Any, ...]]
 APPLICATION_ID = 0x544C5354
 """Application id in the header of a SQLite file that is a store ("TLST")."""
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
+
+HIGH_FIDELITY = {2: "dear", SCHEMA_VERSION: "high_fidelity"}
+"""Table of high-fidelity scores by the version of a store; stores of other versions are refused."""
 
 SCHEMA = """
 CREATE TABLE study (
@@ -151,13 +154,13 @@ def study_tables(study: Study) -> str:
         "CREATE TABLE trial (trial INTEGER PRIMARY KEY, status TEXT NOT NULL, message TEXT NOT NULL, "
         f"{_reals(number_columns(study))}passed INTEGER NOT NULL, seconds REAL NOT NULL, "
         "finished REAL NOT NULL);\n"
-        "CREATE TABLE dear (trial INTEGER PRIMARY KEY, chosen TEXT NOT NULL, "
+        "CREATE TABLE high_fidelity (trial INTEGER PRIMARY KEY, chosen TEXT NOT NULL, "
         f"{_reals(columns)}message TEXT NOT NULL, seconds REAL NOT NULL, finished REAL NOT NULL);\n"
         f"CREATE VIEW trial_record AS SELECT trial.*, {_high_fidelity_columns(columns)}"
         f"{''.join(_engine_column(merit) for merit in study.all_merits)}"
         "study.seed AS seed, study.toolkit_version AS toolkit_version, "
         "strftime('%Y-%m-%dT%H:%M:%SZ', trial.finished, 'unixepoch') AS finished_utc "
-        "FROM trial CROSS JOIN study LEFT JOIN dear ON dear.trial = trial.trial;\n"
+        "FROM trial CROSS JOIN study LEFT JOIN high_fidelity ON high_fidelity.trial = trial.trial;\n"
     )
 
 
@@ -166,8 +169,11 @@ def _reals(columns: Iterable[str]) -> str:
 
 
 def _high_fidelity_columns(columns: list[str]) -> str:
-    own = "".join(f'dear."{column}", ' for column in columns)
-    return f"dear.chosen AS chosen, {own}dear.message AS dear_message, dear.seconds AS dear_seconds, "
+    own = "".join(f'high_fidelity."{column}", ' for column in columns)
+    return (
+        f"high_fidelity.chosen AS chosen, {own}high_fidelity.message AS high_fidelity_message, "
+        "high_fidelity.seconds AS high_fidelity_seconds, "
+    )
 
 
 def _engine_column(merit: Merit) -> str:
@@ -194,7 +200,7 @@ def trial_rows(results: TrialResults) -> Rows:
 
 
 def high_fidelity_rows(results: HighFidelityResults) -> Rows:
-    """Return the rows of the table ``dear`` of high-fidelity scores."""
+    """Return the rows of the table ``high_fidelity``."""
     finished = time.time()
     return [
         (trial, chosen, *scores, message, seconds, finished)

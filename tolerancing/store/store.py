@@ -45,6 +45,8 @@ from tolerancing.store.file import (
     translated_errors,
 )
 from tolerancing.store.schema import (
+    HIGH_FIDELITY,
+    SCHEMA_VERSION,
     MeritRecord,
     StudyRecord,
     high_fidelity_rows,
@@ -216,7 +218,13 @@ class Store:
             If a table is missing, or differs from what a run creates.
         """
         with translated_errors(self.path, "open"), damage_as_error(self.path):
-            check_tables(self._connection)
+            check_tables(self._connection, self.high_fidelity_table)
+
+    @cached_property
+    def high_fidelity_table(self) -> str:
+        """Name of the table of high-fidelity scores, which depends on the version of the store."""
+        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
+        return HIGH_FIDELITY.get(version, HIGH_FIDELITY[SCHEMA_VERSION])
 
     def record(self) -> StudyRecord:
         """Return the record of the study and its run."""
@@ -279,7 +287,7 @@ class Store:
                 if isinstance(results, TrialResults):
                     insert(self._connection, "trial", trial_rows(results))
                 elif isinstance(results, HighFidelityResults):
-                    insert(self._connection, "dear", high_fidelity_rows(results))
+                    insert(self._connection, self.high_fidelity_table, high_fidelity_rows(results))
                 else:
                     insert(self._connection, "step", step_rows(results))
                     insert(self._connection, "picture", picture_rows(results))
@@ -296,7 +304,7 @@ class Store:
 
     def lacks_high_fidelity(self, trial: int) -> bool:
         """Return whether the store has no high-fidelity scores of a trial."""
-        return not self._rows(f"SELECT 1 FROM dear WHERE trial = {trial}")
+        return not self._rows(f"SELECT 1 FROM {self.high_fidelity_table} WHERE trial = {trial}")
 
     def lacks_step(self, series: str, step: int) -> bool:
         """Return whether the store does not hold a step of a series."""
@@ -354,13 +362,15 @@ class Store:
         """Return all high-fidelity scores in the order of the trials."""
         merits = self.study.high_fidelity_merits
         names = "".join(f', "{merit.column}"' for merit in merits)
-        rows = self._rows(f"SELECT trial, chosen, message, seconds{names} FROM dear ORDER BY trial")
+        rows = self._rows(
+            f"SELECT trial, chosen, message, seconds{names} FROM {self.high_fidelity_table} ORDER BY trial"
+        )
         with damage_as_error(self.path):
             check_kinds({"trial": "integer", "chosen": "text", "message": "text", "seconds": "number"}, rows)
             check_trials(np.array([row[0] for row in rows], np.int64))
             scores = np.array([row[4:] for row in rows], float).reshape(len(rows), len(merits))
             seconds = np.array([row[3] for row in rows], float)
-            check_scores("dear", scores)
+            check_scores("high_fidelity", scores)
         return HighFidelityResults(
             trials=tuple(row[0] for row in rows),
             chosen=tuple(row[1] for row in rows),

@@ -180,7 +180,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
         "sensor": {
             "pixel_pitch_um": imaged.sensor.pixel_pitch_um,
             "pixels": list(imaged.sensor.pixels),
-            **recording.electronics.model_dump(mode="json", exclude_none=True),
+            **recording.camera.electronics.model_dump(mode="json", exclude_none=True),
             "seed": recording.seed,
             "stage_errors_mm": [
                 recording.state.sensor_pose(n).distance_mm for n in range(len(recording.plane_distances_mm))
@@ -225,7 +225,7 @@ def _scattered(imaged: Imaged) -> dict[str, Any]:
 
 def _colours(imaged: Imaged) -> dict[str, Any]:
     """Describe the wavelengths that are recorded at once, and the filters; empty for one wavelength."""
-    colours = imaged.recording.colours
+    colours = imaged.recording.camera.colours
     return {} if colours is None else {"colours": colours.model_dump(mode="json")}
 
 
@@ -261,12 +261,12 @@ def _layers(imaged: Imaged) -> dict[str, Any]:
 def _names(recording: Recording) -> list[tuple[str, float]]:
     """Describe the frames with their exposures, relative to the one for the brightest pixel."""
     planes = range(1, len(recording.plane_distances_mm) + 1)
-    if len(recording.exposures) == 1:
-        return [(f"frame_{number}.tif", recording.exposures[0]) for number in planes]
+    if len(recording.camera.exposures) == 1:
+        return [(f"frame_{number}.tif", recording.camera.exposures[0]) for number in planes]
     return [
         (f"frame_{number}_{place}.tif", times)
         for number in planes
-        for place, times in enumerate(recording.exposures, start=1)
+        for place, times in enumerate(recording.camera.exposures, start=1)
     ]
 
 
@@ -293,7 +293,7 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
             write_pyramid(transmission.values, folder / name, 1e3 * patch.grid.pitch_mm, (quantity,))
         for index, layer in enumerate(imaged.layers, start=1):
             write_field(layer.transmission, folder / layer_file(index), **of_stop)
-        colours = imaged.recording.colours
+        colours = imaged.recording.camera.colours
         at_once = (patch.wavelength_um,) if colours is None else colours.wavelengths_um
         light = ", ".join(f"{one:g}" for one in at_once) + " µm"
         title = f"{summary['design']}\nobject {imaged.target.name}, {light}, {patch.stop_words}"

@@ -136,15 +136,7 @@ def shoot(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float, *, cl
 
     Where the stop's surface does not reach, rays count as missed.
     """
-    lens = scene.lens
-    origins, directions = launch_pairs(
-        scene.system,
-        points_mm,
-        pupil,
-        scene.object_grid.z_mm,
-        lens.stop_index,
-        lens.stop_semi_diameter_mm,
-    )
+    origins, directions = launch_pairs(scene.system, points_mm, pupil, scene.object_grid.z_mm, *scene.stop)
     real = np.asarray(np.isfinite(directions).all(axis=-1))
     directions = np.where(real[..., None], directions, [0.0, 0.0, 1.0])
     rays = trace_compiled(scene.system, origins, directions, plane_z_mm, clip=clip, record_hits=True)

@@ -355,8 +355,6 @@ def reconstruct_colours(
     True
     """
     settings = (settings or ColourSettings()).replaced(**changes)
-    if settings.kind == "thickness" and settings.film_index is None:
-        raise SettingError("{kind} thickness: requires {film_index}")
     validate_frames(lens, frames, settings)
     case = _problem(lens, frames, settings)
     true_objects = _true_objects(case, truth)

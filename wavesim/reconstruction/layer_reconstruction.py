@@ -235,7 +235,7 @@ def reconstruct_layers(
         Whether to reconstruct layers that frames do not determine. The result is then one of many solutions,
         the one with the smallest total variation, and its verdict says so.
     folder
-        Folder of the checkpoints, from which the same call continues an interrupted search with the same bits,
+        Folder of the checkpoints, from which the same call continues an interrupted search,
         and of arrays that do not fit in memory.
     progress
         Callback `progress(stage, completed, total)`.

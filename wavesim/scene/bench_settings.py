@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from lensdesign.common.frozen_model import FrozenModel
-from lensdesign.common.option_groups import OptionGroup
+from lensdesign.common.option_groups import OptionGroup, setting
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -34,75 +34,63 @@ class BenchSettings(FrozenModel):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.CAMERA_ERRORS
 
-    light_error_deg: Pair = Field(
-        (0.0, 0.0),
-        description="Error x,y of the light's direction.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    light_error_deg: Pair = setting(
+        (0.0, 0.0), "Error x,y of the light's direction.", OptionGroup.ILLUMINATION
     )
-    light_amplitude: str | None = Field(
+    light_amplitude: str | None = setting(
         None,
-        description="Relative amplitude errors of the light as Legendre modes (order in x and in y): "
-        "10:-0.04,02:0.05.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION, "metavar": "ORDERS:COEFFICIENT,..."},
+        "Relative amplitude errors of the light as Legendre modes (order in x and in y): 10:-0.04,02:0.05.",
+        OptionGroup.ILLUMINATION,
+        metavar="ORDERS:COEFFICIENT,...",
     )
-    light_phase_waves: str | None = Field(
+    light_phase_waves: str | None = setting(
         None,
-        description="Phase errors of the light as Legendre modes, in waves: 20:0.03,11:-0.02.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION, "metavar": "ORDERS:COEFFICIENT,..."},
+        "Phase errors of the light as Legendre modes, in waves: 20:0.03,11:-0.02.",
+        OptionGroup.ILLUMINATION,
+        metavar="ORDERS:COEFFICIENT,...",
     )
-    source_deg: float = Field(
-        0.0,
-        description="Diameter of the light source (partial coherence).",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    source_deg: float = setting(
+        0.0, "Diameter of the light source (partial coherence).", OptionGroup.ILLUMINATION
     )
-    bandwidth_nm: float = Field(
-        0.0,
-        description="Full width of the light's rectangular spectrum.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    bandwidth_nm: float = setting(
+        0.0, "Full width of the light's rectangular spectrum.", OptionGroup.ILLUMINATION
     )
-    perturb: str | None = Field(
+    perturb: str | None = setting(
         None,
-        description="Errors of the lens: 'surface 1: radius_mm=0.01, index=0.001; surface 2: conic=0.02'.",
-        json_schema_extra={"group": OptionGroup.MOUNTED_LENS, "metavar": "ERRORS"},
+        "Errors of the lens: 'surface 1: radius_mm=0.01, index=0.001; surface 2: conic=0.02'.",
+        OptionGroup.MOUNTED_LENS,
+        metavar="ERRORS",
     )
-    working_distance_error_mm: float = Field(
-        0.0,
-        description="Shift of the object away from the lens.",
-        json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
+    working_distance_error_mm: float = setting(
+        0.0, "Shift of the object away from the lens.", OptionGroup.MOUNTED_LENS
     )
-    sensor_tilt_deg: Pair = Field((0.0, 0.0), description="Tilt of the sensor about x,y.")
-    plane_shift_um: tuple[Pair, ...] = Field(
-        (), description="x,y shift of the sensor on the first plane; repeat the option for the next planes."
+    sensor_tilt_deg: Pair = setting((0.0, 0.0), "Tilt of the sensor about x,y.")
+    plane_shift_um: tuple[Pair, ...] = setting(
+        (), "x,y shift of the sensor on the first plane; repeat the option for the next planes."
     )
-    plane_background: Numbers = Field(
-        (0.0,),
-        description="Background as a fraction of the mean intensity: one value, or one for each plane.",
+    plane_background: Numbers = setting(
+        (0.0,), "Background as a fraction of the mean intensity: one value, or one for each plane."
     )
-    background_slope: tuple[Pair, ...] = Field(
+    background_slope: tuple[Pair, ...] = setting(
         (),
-        description="Change x,y of the background from the centre to the edge of the first plane, as a "
+        "Change x,y of the background from the centre to the edge of the first plane, as a "
         "fraction of the mean intensity; repeat the option for the next planes.",
     )
-    vibration_um: float = Field(
-        0.0, description="Standard deviation of the sensor's vibration along x and y during an exposure."
+    vibration_um: float = setting(
+        0.0, "Standard deviation of the sensor's vibration along x and y during an exposure."
     )
-    prnu: float = Field(
-        0.0, description="Standard deviation of the pixels' gain (EMVA 1288), as a fraction of the mean gain."
+    prnu: float = setting(
+        0.0, "Standard deviation of the pixels' gain (EMVA 1288), as a fraction of the mean gain."
     )
-    dsnu_electrons: float = Field(
-        0.0, description="Standard deviation of the pixels' dark signal (EMVA 1288)."
+    dsnu_electrons: float = setting(0.0, "Standard deviation of the pixels' dark signal (EMVA 1288).")
+    hot_pixels: float = setting(0.0, "Fraction of hot pixels, which are bright without light.")
+    dead_pixels: float = setting(0.0, "Fraction of dead pixels, which do not respond to light.")
+    exposure_error: Numbers = setting(
+        (0.0,), "Relative error of the exposure time: one value, or one for each exposure."
     )
-    hot_pixels: float = Field(0.0, description="Fraction of hot pixels, which are bright without light.")
-    dead_pixels: float = Field(0.0, description="Fraction of dead pixels, which do not respond to light.")
-    exposure_error: Numbers = Field(
-        (0.0,), description="Relative error of the exposure time: one value, or one for each exposure."
-    )
-    plane_exposure_error: Numbers = Field(
-        (), description="Additional relative error of the exposure on each plane."
-    )
-    nonlinearity: float = Field(
-        0.0,
-        description="Relative increase of the light over that of a linear camera, at the largest count.",
+    plane_exposure_error: Numbers = setting((), "Additional relative error of the exposure on each plane.")
+    nonlinearity: float = setting(
+        0.0, "Relative increase of the light over that of a linear camera, at the largest count."
     )
 
     @field_validator("light_amplitude", "light_phase_waves")

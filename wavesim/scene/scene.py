@@ -13,7 +13,7 @@ from lensdesign.errors import InputError, validate_positive
 from lensdesign.lens.coatings.coating import SurfaceCoating
 from lensdesign.lens.coatings.compiled import TableCoating
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.poses import Pose, SurfacePerturbation, trial_count
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.polarization import AUTO, is_vector, validate_polarization
@@ -92,7 +92,7 @@ class Scene:
                 f"z >= {exit_vertex:g} mm"
             )
         validate_polarization("polarization", self.polarization)
-        if self.system.trials is not None:
+        if trial_count(self.pose, *self.surface_perturbations.values()) is not None:
             raise InputError(
                 "surface_perturbations: hold arrays of trials; a scene has one lens: give numbers"
             )
@@ -104,6 +104,11 @@ class Scene:
         if self.coating is not None:
             lens = lens.with_coating(self.coating)
         return compile_system(lens, self.wavelength_um, self.pose, self.surface_perturbations)
+
+    @cached_property
+    def stop(self) -> tuple[int, float]:
+        """Index of the stop's surface from 0, and the semi-diameter of the stop in mm."""
+        return self.lens.stop_index, self.lens.stop_semi_diameter_mm
 
     def key_text(self) -> str:
         """Return a text that is equal for equal scenes.

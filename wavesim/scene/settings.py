@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import (
     AfterValidator,
@@ -24,12 +24,13 @@ from pydantic import (
     Field,
     ValidationInfo,
     field_validator,
+    model_validator,
 )
 
 from lensdesign.common.frozen_model import FrozenModel
-from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM
+from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM, PlausibleLength
 from lensdesign.common.number_limits import LARGEST_SETTING, SMALLEST_SETTING
-from lensdesign.common.option_groups import OptionGroup
+from lensdesign.common.option_groups import OptionGroup, setting
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.scene.bench_settings import BenchSettings, Numbers, Pair
@@ -64,6 +65,69 @@ class SettingError(InputError):
         return re.sub(r"{(\w+)}", lambda found: name(found[1]), self.text)
 
 
+class Rule(NamedTuple):
+    """A setting that requires or excludes another one, in each model that has both.
+
+    Both are names of settings that differ from their defaults, or a name and the value that it must have.
+    """
+
+    setting: str
+    relation: Literal["requires", "excludes"]
+    other: str
+    reason: str = ""
+    without_effect: Any = None
+    """Value of the setting to which the rule does not apply, besides its default."""
+
+    def is_broken(self, settings: FrozenModel) -> bool:
+        """Return whether settings contradict this rule."""
+        names = {self.setting.partition(" ")[0], self.other.partition(" ")[0]}
+        if not names <= type(settings).model_fields.keys() or not self._is_given(settings, self.setting):
+            return False
+        return self._is_given(settings, self.other) == (self.relation == "excludes")
+
+    def _is_given(self, settings: FrozenModel, stated: str) -> bool:
+        name, _, value = stated.partition(" ")
+        own, default = getattr(settings, name), type(settings).model_fields[name].default
+        return own == value if value else own not in (default, self.without_effect)
+
+    @property
+    def message(self) -> str:
+        """What is wrong, with names of settings in braces."""
+        one, other = (re.sub(r"^\w+", r"{\g<0>}", stated) for stated in (self.setting, self.other))
+        if self.relation == "requires":
+            return f"{one}: requires {other}{self.reason}"
+        if " " in self.setting + self.other:
+            return f"{one}: cannot be used with {other}{self.reason}"
+        return f"{one}, {other}: give only one of them{self.reason}"
+
+
+RULES = (
+    Rule("light_tilt_deg", "requires", "illumination tilted"),
+    Rule("waist_mm", "requires", "illumination gaussian"),
+    Rule("source_distance_mm", "requires", "illumination point"),
+    Rule("speckle_na", "requires", "illumination speckle"),
+    Rule("speckle_seed", "requires", "illumination speckle"),
+    Rule("chart_at_mm", "requires", "usaf"),
+    Rule("colour_filters", "requires", "wavelengths_um"),
+    Rule("wavelength_um", "excludes", "wavelengths_um"),
+    Rule("channels", "excludes", "thickness_um"),
+    Rule("film_index", "requires", "thickness_um"),
+    Rule("film_index", "excludes", "kind amplitude", ", which has no phase"),
+    Rule("kind thickness", "requires", "film_index"),
+    Rule("heights_um", "requires", "film_index"),
+    Rule("ground_mm", "requires", "film_index"),
+    Rule("undetermined_layers", "requires", "layers_um"),
+    Rule("numerical_aperture", "requires", "free_space"),
+    Rule("predict_mm", "requires", "free_space"),
+    Rule("start amplitude", "excludes", "kind phase"),
+    Rule("hold_out_plane", "excludes", "method paper"),
+    Rule("starts", "excludes", "method paper"),
+    Rule("source_deg", "excludes", "method paper", ", which assumes coherent light", 0.0),
+    Rule("bandwidth_nm", "excludes", "method paper", ", which assumes coherent light", 0.0),
+)
+"""Which settings belong together, and which contradict each other."""
+
+
 class Settings(FrozenModel):
     """A section of settings whose numbers have a magnitude that computations can handle.
 
@@ -90,14 +154,12 @@ class Settings(FrozenModel):
                 )
         return value
 
-    @field_validator("wavelength_um", "pixel_pitch_um", check_fields=False)
-    @classmethod
-    def _in_micrometres(cls, value: float | None, info: ValidationInfo) -> float | None:
-        plausible = WAVELENGTH_UM if info.field_name == "wavelength_um" else PIXEL_PITCH_UM
-        doubt = None if value is None else plausible.objection(value, "um")
-        if doubt is not None:
-            raise ValueError(doubt)
-        return value
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        broken = [rule.message for rule in RULES if rule.is_broken(self)]
+        if broken:
+            raise SettingError("\n".join(broken))
+        return self
 
 
 def _floats(value: Any) -> Iterator[float]:
@@ -115,7 +177,32 @@ def _finite_positive(value: float) -> float:
     return value
 
 
-def _bracket(exposures: tuple[float, ...]) -> tuple[float, ...]:
+def _plausible(length: PlausibleLength) -> AfterValidator:
+    """Return the check that a length in micrometres is plausible."""
+
+    def check(value: float) -> float:
+        objection = length.objection(value, "um")
+        if objection is not None:
+            raise ValueError(objection)
+        return value
+
+    return AfterValidator(check)
+
+
+def _wavelengths(wavelengths: tuple[float, ...]) -> tuple[float, ...]:
+    if len(wavelengths) < 2 or len(set(wavelengths)) < len(wavelengths):
+        raise ValueError("must be two or more different wavelengths")
+    return wavelengths
+
+
+def _planes(planes: tuple[float, ...]) -> tuple[float, ...]:
+    """Return distances of planes in ascending order, once they have been checked."""
+    if not planes or min(planes) <= 0.0 or len(set(planes)) < len(planes):
+        raise ValueError("must be distinct and greater than 0")
+    return tuple(sorted(planes))
+
+
+def _exposures(exposures: tuple[float, ...]) -> tuple[float, ...]:
     """Return exposures in ascending order, once they have been checked."""
     if not exposures or min(exposures) <= 0.0:
         raise ValueError("must be greater than 0")
@@ -126,27 +213,11 @@ def _bracket(exposures: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(sorted(exposures))
 
 
-Size = Annotated[float, AfterValidator(_finite_positive)]
-Count = Annotated[int, AfterValidator(_finite_positive)]
-Points = Annotated[
-    tuple[Pair, ...],
-    Field(
-        description="Centre x,y of an additional USAF chart with fine groups; may be repeated.",
-        json_schema_extra={"group": OptionGroup.OBJECT},
-    ),
-]
-Pixels = int | tuple[int, int] | Literal["all"]
-Kind = Literal["complex", "amplitude", "phase"]
-Verdict = Literal["full", "quick", "none"]
-StopOrigin = Literal["patch", "stated", "frames", "calibration"]
-"""Where a field stop comes from: the patch's sides, settings, the frames, or an earlier calibration."""
-
-STOP_ORIGINS: dict[StopOrigin, str] = {
-    "patch": "as wide as the patch (default)",
-    "stated": "from the settings",
-    "frames": "estimated from the frames",
-    "calibration": "from the calibration",
-}
+def _ascending(distances: tuple[float, ...]) -> tuple[float, ...]:
+    steps = (after - before for before, after in pairwise(distances))
+    if not distances or not all(map(math.isfinite, distances)) or any(step <= 0.0 for step in steps):
+        raise ValueError("must be finite and ascending")
+    return distances
 
 
 def _pixels(value: Any) -> Any:
@@ -160,68 +231,93 @@ def _pixels(value: Any) -> Any:
     return sides[0] if len(sides) == 1 else (sides[0], sides[1])
 
 
+Size = Annotated[float, AfterValidator(_finite_positive)]
+Count = Annotated[int, AfterValidator(_finite_positive)]
+Seed = Annotated[int, Field(ge=0)]
+Wavelength = Annotated[float, _plausible(WAVELENGTH_UM)]
+PixelPitch = Annotated[float, _plausible(PIXEL_PITCH_UM)]
+Wavelengths = Annotated[tuple[Wavelength, ...], AfterValidator(_wavelengths)]
+Planes = Annotated[Numbers, AfterValidator(_planes)]
+Exposures = Annotated[Numbers, AfterValidator(_exposures)]
+Layers = Annotated[Numbers, AfterValidator(_ascending)]
+Pixels = Annotated[int | tuple[int, int] | Literal["all"] | None, BeforeValidator(_pixels)]
+FilmIndex = Annotated[float, Field(gt=1.0, le=5.0)]
+Region = tuple[float, float, float, float]
+Points = Annotated[
+    tuple[Pair, ...],
+    setting(
+        ..., "Centre x,y of an additional USAF chart with fine groups; may be repeated.", OptionGroup.OBJECT
+    ),
+]
+FullWell = Annotated[
+    float,
+    setting(
+        ...,
+        "Full well in electrons.",
+        options=["full_well_electrons", "full_well"],
+        alias="full_well",
+        ge=1.0,
+        le=1e9,
+    ),
+]
+ReadNoise = Annotated[
+    float,
+    setting(
+        ...,
+        "Read noise in electrons.",
+        options=["read_noise_electrons", "read_noise"],
+        alias="read_noise",
+        ge=0.0,
+        le=1e9,
+    ),
+]
+Bits = Annotated[int, setting(..., "Bits of a count.", ge=1, le=16)]
+Kind = Literal["complex", "amplitude", "phase"]
+Verdict = Literal["full", "quick", "none"]
+StopOrigin = Literal["patch", "stated", "frames", "calibration"]
+"""Where a field stop comes from: the patch's sides, settings, the frames, or an earlier calibration."""
+
+STOP_ORIGINS: dict[StopOrigin, str] = {
+    "patch": "as wide as the patch (default)",
+    "stated": "from the settings",
+    "frames": "estimated from the frames",
+    "calibration": "from the calibration",
+}
+
+
 class PatchSettings(Settings):
     """The square of the object plane that is imaged, its field stop, and the light on it."""
 
     option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
 
-    patch_mm: float | None = Field(None, description="Side of the object patch; default: the whole field.")
-    field_stop_mm: float | None = Field(None, description="Diameter of the field stop; default: the patch.")
-    field_stop_at_mm: Pair | None = Field(
-        None, description="x,y of the field stop's centre; default: on the axis."
+    patch_mm: float | None = setting(None, "Side of the object patch; default: the whole field.")
+    field_stop_mm: float | None = setting(None, "Diameter of the field stop; default: the patch.")
+    field_stop_at_mm: Pair | None = setting(None, "x,y of the field stop's centre; default: on the axis.")
+    object_pitch_um: float | None = setting(
+        None, "Pitch of the object's samples; default: from the numerical aperture."
     )
-    object_pitch_um: float | None = Field(
-        None, description="Pitch of the object's samples; default: from the numerical aperture."
-    )
-    illumination: str = Field(
+    illumination: str = setting(
         "plane",
-        description="plane, tilted, gaussian, point, speckle, or FILE of a measured field.",
-        json_schema_extra={
-            "group": OptionGroup.ILLUMINATION,
-            "metavar": "[plane|tilted|gaussian|point|speckle]|FILE",
-        },
+        "plane, tilted, gaussian, point, speckle, or FILE of a measured field.",
+        OptionGroup.ILLUMINATION,
+        metavar="[plane|tilted|gaussian|point|speckle]|FILE",
     )
-    light_tilt_deg: Pair = Field(
-        (0.0, 0.0),
-        description="Angles x,y of tilted light.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    light_tilt_deg: Pair = setting((0.0, 0.0), "Angles x,y of tilted light.", OptionGroup.ILLUMINATION)
+    waist_mm: float | None = setting(
+        None, "Radius of the waist of a Gaussian beam.", OptionGroup.ILLUMINATION
     )
-    waist_mm: float | None = Field(
+    source_distance_mm: float | None = setting(
         None,
-        description="Radius of the waist of a Gaussian beam.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+        "Distance of a point source before the object; negative: its light converges behind it.",
+        OptionGroup.ILLUMINATION,
     )
-    source_distance_mm: float | None = Field(
-        None,
-        description="Distance of a point source before the object; negative: its light converges behind it.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    speckle_na: float | None = setting(
+        None, "Numerical aperture of speckle, the light of a diffuser.", OptionGroup.ILLUMINATION
     )
-    speckle_na: float | None = Field(
-        None,
-        description="Numerical aperture of speckle, the light of a diffuser.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    speckle_seed: Seed = setting(0, "Seed of the random waves of speckle.", OptionGroup.ILLUMINATION)
+    light_pitch_um: float | None = setting(
+        None, "Sample pitch of a measured field whose file does not state it.", OptionGroup.ILLUMINATION
     )
-    speckle_seed: int = Field(
-        0,
-        ge=0,
-        description="Seed of the random waves of speckle.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
-    )
-    light_pitch_um: float | None = Field(
-        None,
-        description="Sample pitch of a measured field whose file does not state it.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
-    )
-
-    @field_validator("light_tilt_deg", "waist_mm", "source_distance_mm", "speckle_na", "speckle_seed")
-    @classmethod
-    def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
-        kinds = {"light_tilt_deg": "tilted", "waist_mm": "gaussian", "source_distance_mm": "point"}
-        kind = kinds.get(str(info.field_name), "speckle")
-        unused = cls.model_fields[str(info.field_name)].default
-        if value != unused and info.data.get("illumination") != kind:
-            raise SettingError(f"{{{info.field_name}}}: requires {{illumination}} {kind}")
-        return value
 
 
 class PoseSettings(Settings):
@@ -229,12 +325,12 @@ class PoseSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.MOUNTED_LENS
 
-    decenter_x_mm: float = Field(0.0, description="Shift of the lens as mounted, along x.")
-    decenter_y_mm: float = Field(0.0, description="Shift of the lens as mounted, along y.")
-    despace_mm: float = Field(0.0, description="Shift of the lens towards the sensor.")
-    tilt_x_deg: float = Field(0.0, description="Rotation of the lens about x.")
-    tilt_y_deg: float = Field(0.0, description="Rotation of the lens about y.")
-    pivot_z_mm: float = Field(0.0, description="Centre of rotation, from the front vertex.")
+    decenter_x_mm: float = setting(0.0, "Shift of the lens as mounted, along x.")
+    decenter_y_mm: float = setting(0.0, "Shift of the lens as mounted, along y.")
+    despace_mm: float = setting(0.0, "Shift of the lens towards the sensor.")
+    tilt_x_deg: float = setting(0.0, "Rotation of the lens about x.")
+    tilt_y_deg: float = setting(0.0, "Rotation of the lens about y.")
+    pivot_z_mm: float = setting(0.0, "Centre of rotation, from the front vertex.")
 
     @property
     def pose(self) -> Pose:
@@ -247,25 +343,19 @@ class EngineDetails(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.ENGINE
 
-    tile_width_mm: Size | None = Field(None, description="Width of a tile of the object (eikonal engine).")
-    hierarchical: bool | None = Field(
-        None, description="Whether tiles form a hierarchy (eikonal engine); default: by their number."
+    tile_width_mm: Size | None = setting(None, "Width of a tile of the object (eikonal engine).")
+    hierarchical: bool | None = setting(
+        None, "Whether tiles form a hierarchy (eikonal engine); default: by their number."
     )
-    slices: Count | None = Field(None, description="Number of slices (engine slices).")
-    compensation: str | None = Field(
-        None,
-        description="Phase compensation (engine slices).",
-        json_schema_extra={"metavar": "[vertical|oblique]"},
+    slices: Count | None = setting(None, "Number of slices (engine slices).")
+    compensation: str | None = setting(
+        None, "Phase compensation (engine slices).", metavar="[vertical|oblique]"
     )
-    interface: str | None = Field(
-        None,
-        description="Treatment of surfaces within a step (engine wpm).",
-        json_schema_extra={"metavar": "[substep|staircase]"},
+    interface: str | None = setting(
+        None, "Treatment of surfaces within a step (engine wpm).", metavar="[substep|staircase]"
     )
-    step_um: Size | None = Field(None, description="Step along z (engine wpm).")
-    pitch_um: Size | None = Field(
-        None, description="Pitch of the working grid (engines slices, wpm, thin-lens)."
-    )
+    step_um: Size | None = setting(None, "Step along z (engine wpm).")
+    pitch_um: Size | None = setting(None, "Pitch of the working grid (engines slices, wpm, thin-lens).")
 
     def details(self) -> dict[str, Any]:
         """Return the settings that are given, by their names in the engines."""
@@ -279,26 +369,20 @@ class EngineDetails(Settings):
 class SingleEngineDetails(EngineDetails):
     """Settings of an engine that is run by its name."""
 
-    option_group: ClassVar[OptionGroup] = OptionGroup.ENGINE
-
-    spacing: str | None = Field(
-        None,
-        description="Positions of the slices (engine slices).",
-        json_schema_extra={"metavar": "[equal|paper|equal-phase]"},
+    spacing: str | None = setting(
+        None, "Positions of the slices (engine slices).", metavar="[equal|paper|equal-phase]"
     )
 
 
 class EngineSettings(EngineDetails):
     """The engine, and the error that it may have."""
 
-    option_group: ClassVar[OptionGroup] = OptionGroup.ENGINE
-
-    engine: str = Field(
+    engine: str = setting(
         "auto",
-        description="Engine, or auto: the cheapest that meets the error limit.",
-        json_schema_extra={"metavar": "[auto|eikonal|slices|wpm|thin-lens|no-lens]"},
+        "Engine, or auto: the cheapest that meets the error limit.",
+        metavar="[auto|eikonal|slices|wpm|thin-lens|no-lens]",
     )
-    error: float | None = Field(None, description="Allowed relative error of the exit field; default: 0.05.")
+    error: float | None = setting(None, "Allowed relative error of the exit field; default: 0.05.")
 
 
 class LightSettings(Settings):
@@ -306,14 +390,14 @@ class LightSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.ILLUMINATION
 
-    polarization: str = Field(
+    polarization: str = setting(
         "auto",
-        description="Light: scalar waves, unpolarized, circular, or degrees of linear polarization from x; "
+        "Light: scalar waves, unpolarized, circular, or degrees of linear polarization from x; "
         "auto: scalar waves where their error is allowed.",
-        json_schema_extra={"metavar": "[auto|scalar|unpolarized|circular]|DEG"},
+        metavar="[auto|scalar|unpolarized|circular]|DEG",
     )
-    coating: Literal["ideal", "bare", "mgf2"] | None = Field(
-        None, description="Coating of all surfaces; default: the design's."
+    coating: Literal["ideal", "bare", "mgf2"] | None = setting(
+        None, "Coating of all surfaces; default: the design's."
     )
 
     @field_validator("polarization")
@@ -337,11 +421,9 @@ class MachineSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.OUTPUT
 
-    memory_gb: Size | None = Field(None, description="Memory limit; default: 80 % of what is free.")
-    cluster: str | None = Field(
-        None,
-        description="Dask scheduler (ADDRESS) whose workers compute the tiles of a whole field.",
-        json_schema_extra={"metavar": "ADDRESS"},
+    memory_gb: Size | None = setting(None, "Memory limit; default: 80 % of what is free.")
+    cluster: str | None = setting(
+        None, "Dask scheduler (ADDRESS) whose workers compute the tiles of a whole field.", metavar="ADDRESS"
     )
 
 
@@ -352,76 +434,42 @@ class CameraSettings(Settings):
 
     model_config = ConfigDict(loc_by_alias=False)
 
-    planes_mm: Numbers | None = Field(
+    planes_mm: Planes | None = setting(
         None,
-        description="Distances of the planes from the exit vertex; default: the design's.",
-        json_schema_extra={"options": ["plane_distance_mm", "planes_mm"]},
+        "Distances of the planes from the exit vertex; default: the design's.",
+        options=["plane_distance_mm", "planes_mm"],
     )
-    pixels: Annotated[Pixels | None, BeforeValidator(_pixels)] = Field(
+    pixels: Pixels = setting(
         None,
-        description="Pixels along each side, or 9344x7000, or all; default: as many as the light covers.",
-        json_schema_extra={"metavar": "SIDE|WIDTHxHEIGHT|all"},
+        "Pixels along each side, or 9344x7000, or all; default: as many as the light covers.",
+        metavar="SIDE|WIDTHxHEIGHT|all",
     )
-    noise: bool = Field(True, description="Simulate shot noise and read noise.")
-    seed: int = Field(
-        0,
-        ge=0,
-        description="Seed of the noise and of the tissue object.",
-        json_schema_extra={"group": OptionGroup.OUTPUT},
-    )
-    full_well_electrons: float = Field(
-        10_000.0,
-        alias="full_well",
-        ge=1.0,
-        le=1e9,
-        description="Full well in electrons.",
-        json_schema_extra={"options": ["full_well_electrons", "full_well"]},
-    )
-    read_noise_electrons: float = Field(
-        2.0,
-        alias="read_noise",
-        ge=0.0,
-        le=1e9,
-        description="Read noise in electrons.",
-        json_schema_extra={"options": ["read_noise_electrons", "read_noise"]},
-    )
-    bits: int = Field(12, ge=1, le=16, description="Bits of a count.")
-    peak_fill: float = Field(
+    noise: bool = setting(True, "Simulate shot noise and read noise.")
+    seed: Seed = setting(0, "Seed of the noise and of the tissue object.", OptionGroup.OUTPUT)
+    full_well_electrons: FullWell = 10_000.0
+    read_noise_electrons: ReadNoise = 2.0
+    bits: Bits = 12
+    peak_fill: float = setting(
         0.8,
+        "Fraction of full well that the brightest pixel receives in exposure 1.",
         validation_alias=AliasChoices("peak_fill", "brightest_share"),
         ge=1e-6,
         le=1e6,
-        description="Fraction of full well that the brightest pixel receives in exposure 1.",
     )
-    exposures: Numbers = Field(
-        (1.0,), description="Exposure times of each plane, relative to that for the peak fill."
+    exposures: Exposures = setting(
+        (1.0,), "Exposure times of each plane, relative to that for the peak fill."
     )
-    fill_factor: float = Field(
+    fill_factor: float = setting(
         1.0,
+        "Linear fill factor of a pixel (0 to 1).",
         validation_alias=AliasChoices("fill_factor", "active_width"),
-        description="Linear fill factor of a pixel (0 to 1).",
     )
-    stage_error_mm: Numbers = Field(
-        (0.0,),
-        description="Error of the plane distance: one value, or one for each plane.",
-        json_schema_extra={"group": OptionGroup.CAMERA_ERRORS},
+    stage_error_mm: Numbers = setting(
+        (0.0,), "Error of the plane distance: one value, or one for each plane.", OptionGroup.CAMERA_ERRORS
     )
-    shift_um: Pair = Field(
-        (0.0, 0.0),
-        description="x,y shift of the sensor from plane to plane.",
-        json_schema_extra={"group": OptionGroup.CAMERA_ERRORS},
+    shift_um: Pair = setting(
+        (0.0, 0.0), "x,y shift of the sensor from plane to plane.", OptionGroup.CAMERA_ERRORS
     )
-
-    @field_validator("planes_mm")
-    @classmethod
-    def _apart(cls, planes: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if planes is None:
-            return None
-        if not planes or min(planes) <= 0.0 or len(set(planes)) < len(planes):
-            raise ValueError("must be distinct and greater than 0")
-        return tuple(sorted(planes))
-
-    _lit = field_validator("exposures")(_bracket)
 
 
 class ObjectSettings(Settings):
@@ -429,33 +477,31 @@ class ObjectSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
 
-    wavelength_um: float | None = Field(
-        None,
-        description="Wavelength; default: the design's first.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    wavelength_um: Wavelength | None = setting(
+        None, "Wavelength; default: the design's first.", OptionGroup.ILLUMINATION
     )
-    ground: Literal["bright", "dark"] = Field(
-        "bright", description="Bright or dark background of a chart (usaf, star)."
+    ground: Literal["bright", "dark"] = setting(
+        "bright", "Bright or dark background of a chart (usaf, star)."
     )
     chart_at_mm: Points = ()
-    ghost: float = Field(
+    ghost: float = setting(
         0.0,
+        "Ghost of the lens: product of the reflectances of both outer surfaces.",
+        OptionGroup.MOUNTED_LENS,
         ge=0.0,
         le=1.0,
-        description="Ghost of the lens: product of the reflectances of both outer surfaces.",
-        json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
     )
-    ghosts: Literal["none", "coherent", "incoherent"] = Field(
+    ghosts: Literal["none", "coherent", "incoherent"] = setting(
         "none",
-        description="All ghosts by the coatings: between lens surfaces with their fringes (coherent) or as "
+        "All ghosts by the coatings: between lens surfaces with their fringes (coherent) or as "
         "smooth light (incoherent); those of cover glass and sensor as smooth light.",
-        json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
+        OptionGroup.MOUNTED_LENS,
     )
-    picture_pixel_um: Size | None = Field(
-        None, description="Side of a picture's pixel on the object; default: fitted to the field stop."
+    picture_pixel_um: Size | None = setting(
+        None, "Side of a picture's pixel on the object; default: fitted to the field stop."
     )
-    picture_width_mm: Size | None = Field(
-        None, description="Width of a picture on the object; default: fitted to the field stop."
+    picture_width_mm: Size | None = setting(
+        None, "Width of a picture on the object; default: fitted to the field stop."
     )
 
 
@@ -464,64 +510,27 @@ class ColourObjectSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
 
-    wavelengths_um: Numbers | None = Field(
+    wavelengths_um: Wavelengths | None = setting(
         None,
-        description="Wavelengths that the sensor records at once, or one after the other with "
-        "--all-wavelengths.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+        "Wavelengths that the sensor records at once, or one after the other with --all-wavelengths.",
+        OptionGroup.ILLUMINATION,
     )
-    colour_filters: str = Field(
+    colour_filters: str = setting(
         "monochrome",
-        description="Filters on the pixels, of light of several wavelengths: monochrome (none), bayer, or "
+        "Filters on the pixels, of light of several wavelengths: monochrome (none), bayer, or "
         "FILE (TOML) of a pattern and its responses.",
-        json_schema_extra={"group": OptionGroup.CAMERA, "metavar": "[monochrome|bayer]|FILE"},
+        OptionGroup.CAMERA,
+        metavar="[monochrome|bayer]|FILE",
     )
-    channels: bool = Field(
-        False,
-        description="Whether a colour picture transmits a wavelength as its red, green or blue channel does.",
+    channels: bool = setting(
+        False, "Whether a colour picture transmits a wavelength as its red, green or blue channel does."
     )
-    thickness_um: Size | None = Field(
+    thickness_um: Size | None = setting(
         None,
-        description="The object is a clear film of this thickness where its amplitude is 1, and thinner in "
+        "The object is a clear film of this thickness where its amplitude is 1, and thinner in "
         "proportion elsewhere.",
     )
-    film_index: float | None = Field(
-        None, gt=1.0, le=5.0, description="Refractive index of such a film, in air; default: 1.5."
-    )
-
-    @field_validator("film_index")
-    @classmethod
-    def _of_a_film(cls, film_index: float | None, info: ValidationInfo) -> float | None:
-        if film_index is not None and info.data.get("thickness_um") is None:
-            raise SettingError("{film_index}: requires {thickness_um}")
-        return film_index
-
-    @field_validator("wavelengths_um")
-    @classmethod
-    def _several(cls, wavelengths: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if wavelengths is None:
-            return None
-        for wavelength in wavelengths:
-            doubt = WAVELENGTH_UM.objection(wavelength, "um")
-            if doubt is not None:
-                raise ValueError(doubt)
-        if len(wavelengths) < 2 or len(set(wavelengths)) < len(wavelengths):
-            raise ValueError("must be two or more different wavelengths")
-        return wavelengths
-
-    @field_validator("colour_filters")
-    @classmethod
-    def _of_several(cls, filters: str, info: ValidationInfo) -> str:
-        if filters != "monochrome" and info.data.get("wavelengths_um") is None:
-            raise SettingError("{colour_filters}: requires {wavelengths_um}")
-        return filters
-
-    @field_validator("thickness_um")
-    @classmethod
-    def _without_channels(cls, thickness_um: float | None, info: ValidationInfo) -> float | None:
-        if thickness_um is not None and info.data.get("channels"):
-            raise SettingError("{channels}, {thickness_um}: give only one of them")
-        return thickness_um
+    film_index: FilmIndex | None = setting(None, "Refractive index of such a film, in air; default: 1.5.")
 
 
 class LayerSettings(Settings):
@@ -529,21 +538,11 @@ class LayerSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
 
-    layers_um: Numbers | None = Field(
+    layers_um: Layers | None = setting(
         None,
-        description="Distances of the object's layers from the object plane, positive towards the lens, in "
+        "Distances of the object's layers from the object plane, positive towards the lens, in "
         "the order in which light passes them; default: one layer in the object plane.",
     )
-
-    @field_validator("layers_um")
-    @classmethod
-    def _ascending(cls, distances: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if distances is None:
-            return None
-        steps = (after - before for before, after in pairwise(distances))
-        if not distances or not all(map(math.isfinite, distances)) or any(step <= 0.0 for step in steps):
-            raise ValueError("must be finite and ascending")
-        return distances
 
 
 class ImageSettings(
@@ -577,7 +576,7 @@ class ImageSettings(
 class ChoiceSettings(LightSettings, PatchSettings, ObjectSettings):
     """The object for whose light `wavesim choose-engine` predicts the errors of the engines."""
 
-    patch_mm: float = Field(0.1, description="Side of the object patch.")
+    patch_mm: float = setting(0.1, "Side of the object patch.")
 
 
 class FrameSetSettings(Settings):
@@ -585,47 +584,39 @@ class FrameSetSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.FRAMES
 
-    plane_distance_mm: Numbers | None = Field(
+    plane_distance_mm: Numbers | None = setting(
         None,
-        description="Distance of each frame's plane from the exit vertex, in the order of FRAMES; default: "
+        "Distance of each frame's plane from the exit vertex, in the order of FRAMES; default: "
         "as the frames state.",
     )
-    exposure: Numbers | None = Field(
-        None, description="Exposure of each frame, in any unit; default: as the frames state."
+    exposure: Numbers | None = setting(
+        None, "Exposure of each frame, in any unit; default: as the frames state."
     )
-    pixel_pitch_um: float | None = Field(
-        None, description="Pixel pitch of the frames; default: as the frames state."
+    pixel_pitch_um: PixelPitch | None = setting(
+        None, "Pixel pitch of the frames; default: as the frames state."
     )
-    wavelength_um: float | None = Field(None, description="Wavelength of the frames; default: as they state.")
-    bits: int | None = Field(None, description="Bits of a count.")
-    offset_counts: float | None = Field(None, description="Count of a dark pixel.")
-    gain_electrons_per_count: float | None = Field(None, description="Gain of the sensor.")
-    read_noise_electrons: float | None = Field(None, description="Read noise of the sensor.")
-    saturation_counts: int | None = Field(
+    wavelength_um: Wavelength | None = setting(None, "Wavelength of the frames; default: as they state.")
+    bits: int | None = setting(None, "Bits of a count.")
+    offset_counts: float | None = setting(None, "Count of a dark pixel.")
+    gain_electrons_per_count: float | None = setting(None, "Gain of the sensor.")
+    read_noise_electrons: float | None = setting(None, "Read noise of the sensor.")
+    saturation_counts: int | None = setting(
         None,
-        description="Lowest count of a pixel that may be clipped; default: the largest count, or one that "
+        "Lowest count of a pixel that may be clipped; default: the largest count, or one that "
         "many of the brightest pixels share.",
     )
-    nonlinearity: float | None = Field(
+    nonlinearity: float | None = setting(
         None,
-        description="Relative increase of the light over that of a linear camera, at the largest count; "
+        "Relative increase of the light over that of a linear camera, at the largest count; "
         "default: as the frames state.",
     )
-    flat: Path | None = Field(
-        None,
-        description="FILE of a flat frame (even light), in counts: TIFF, PNG or .npy.",
-        json_schema_extra={"metavar": "FILE"},
+    flat: Path | None = setting(
+        None, "FILE of a flat frame (even light), in counts: TIFF, PNG or .npy.", metavar="FILE"
     )
-    dark: Path | None = Field(
-        None,
-        description="FILE of a dark frame (no light), in counts: TIFF, PNG or .npy.",
-        json_schema_extra={"metavar": "FILE"},
+    dark: Path | None = setting(
+        None, "FILE of a dark frame (no light), in counts: TIFF, PNG or .npy.", metavar="FILE"
     )
-    bad_pixels: Path | None = Field(
-        None,
-        description="FILE of a mask in which bad pixels are not 0.",
-        json_schema_extra={"metavar": "FILE"},
-    )
+    bad_pixels: Path | None = setting(None, "FILE of a mask in which bad pixels are not 0.", metavar="FILE")
 
 
 class FramedSettings(EngineSettings, PatchSettings):
@@ -633,44 +624,40 @@ class FramedSettings(EngineSettings, PatchSettings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
 
-    kind: Kind = Field(
+    kind: Kind = setting(
         "complex",
-        description="Kind of the object: complex, amplitude (without phase), or phase (without absorption).",
-        json_schema_extra={"group": OptionGroup.OBJECT},
+        "Kind of the object: complex, amplitude (without phase), or phase (without absorption).",
+        OptionGroup.OBJECT,
     )
-    field_stop: Literal["stated", "find"] = Field(
+    field_stop: Literal["stated", "find"] = setting(
         "stated",
-        description="stated, or find: estimate from the frames the diameter or position that is not given.",
-        json_schema_extra={"group": OptionGroup.OBJECT},
+        "stated, or find: estimate from the frames the diameter or position that is not given.",
+        OptionGroup.OBJECT,
     )
-    scale: float | None = Field(
-        None,
-        description="Recorded amplitude where the transmission is 1; default: fitted.",
-        json_schema_extra={"group": OptionGroup.OBJECT},
+    scale: float | None = setting(
+        None, "Recorded amplitude where the transmission is 1; default: fitted.", OptionGroup.OBJECT
     )
-    fill_factor: float = Field(
+    fill_factor: float = setting(
         1.0,
+        "Linear fill factor of a pixel (0 to 1).",
+        OptionGroup.CAMERA,
         validation_alias=AliasChoices("fill_factor", "active_width"),
         ge=0.0,
         le=1.0,
-        description="Linear fill factor of a pixel (0 to 1).",
-        json_schema_extra={"group": OptionGroup.CAMERA},
     )
-    source_deg: float | Literal["find"] | None = Field(
+    source_deg: float | Literal["find"] | None = setting(
         None,
-        description="Diameter of the light source (partial coherence), or find; default: calibrated, or 0.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+        "Diameter of the light source (partial coherence), or find; default: calibrated, or 0.",
+        OptionGroup.ILLUMINATION,
     )
-    bandwidth_nm: float | Literal["find"] | None = Field(
+    bandwidth_nm: float | Literal["find"] | None = setting(
         None,
-        description="Full width of the light's rectangular spectrum, or find; default: calibrated, or 0.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+        "Full width of the light's rectangular spectrum, or find; default: calibrated, or 0.",
+        OptionGroup.ILLUMINATION,
     )
 
-    verdict: Verdict = Field(
-        "full",
-        description="Tests of the result: full, quick (residuals alone), or none.",
-        json_schema_extra={"group": OptionGroup.EVALUATION},
+    verdict: Verdict = setting(
+        "full", "Tests of the result: full, quick (residuals alone), or none.", OptionGroup.EVALUATION
     )
 
     @field_validator("source_deg", "bandwidth_nm")
@@ -728,39 +715,36 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
 
-    method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
-    iterations: int | None = Field(
-        None, ge=1, description="Largest number of iterations; default: 80, or 500 with --method paper."
+    method: Literal["paper", "object"] = setting("object", "paper (Appendix A) or object.")
+    iterations: int | None = setting(
+        None, "Largest number of iterations; default: 80, or 500 with --method paper.", ge=1
     )
-    tv_weight: float | Literal["auto"] = Field(
-        "auto", description="Weight of the total variation (method object); auto: from the noise."
+    tv_weight: float | Literal["auto"] = setting(
+        "auto", "Weight of the total variation (method object); auto: from the noise."
     )
-    start: str | None = Field(
+    start: str | None = setting(
         None,
-        description="Start: model, uniform or random for paper; even or amplitude for object.",
-        json_schema_extra={"metavar": "[model|uniform|random|even|amplitude]"},
+        "Start: model, uniform or random for paper; even or amplitude for object.",
+        metavar="[model|uniform|random|even|amplitude]",
     )
-    refocus_mm: Pair | None = Field(
-        None,
-        description="low,high: range in which the focus is searched.",
-        json_schema_extra={"metavar": "LOW,HIGH"},
+    refocus_mm: Pair | None = setting(
+        None, "low,high: range in which the focus is searched.", metavar="LOW,HIGH"
     )
-    usaf: Literal["bright", "dark"] | None = Field(
-        None,
-        description="The object is a USAF chart with a bright or dark background.",
-        json_schema_extra={"group": OptionGroup.OBJECT},
+    usaf: Literal["bright", "dark"] | None = setting(
+        None, "The object is a USAF chart with a bright or dark background.", OptionGroup.OBJECT
     )
     chart_at_mm: Points = ()
-    hold_out_plane: int | None = Field(
+    hold_out_plane: int | None = setting(
         None,
-        description="Number of a plane, from 1, that is only predicted and compared (method object).",
-        json_schema_extra={"group": OptionGroup.EVALUATION},
+        "Number of a plane, from 1, that is only predicted and compared (method object).",
+        OptionGroup.EVALUATION,
     )
-    starts: int = Field(1, ge=1, description="Number of starts, whose results are compared (method object).")
-    region_mm: tuple[float, float, float, float] | None = Field(
+    starts: int = setting(1, "Number of starts, whose results are compared (method object).", ge=1)
+    region_mm: Region | None = setting(
         None,
-        description="x,y,width,height: region of the object that is evaluated and written.",
-        json_schema_extra={"group": OptionGroup.EVALUATION, "metavar": "X,Y,WIDTH,HEIGHT"},
+        "x,y,width,height: region of the object that is evaluated and written.",
+        OptionGroup.EVALUATION,
+        metavar="X,Y,WIDTH,HEIGHT",
     )
 
     @field_validator("start")
@@ -769,33 +753,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         method = info.data.get("method", "object")
         if start is not None and start not in STARTS[method]:
             raise ValueError(f"allowed for {method}: {', '.join(STARTS[method])}")
-        if start == "amplitude" and info.data.get("kind") == "phase":
-            raise SettingError("{start} amplitude: cannot be used with {kind} phase")
         return start
-
-    @field_validator("hold_out_plane", "starts")
-    @classmethod
-    def _of_object(cls, value: int | None, info: ValidationInfo) -> int | None:
-        if value not in (None, 1) and info.data.get("method") == "paper":
-            raise SettingError(f"{{{info.field_name}}}: cannot be used with {{method}} paper")
-        return value
-
-    @field_validator("chart_at_mm")
-    @classmethod
-    def _of_a_chart(cls, points: tuple[Pair, ...], info: ValidationInfo) -> tuple[Pair, ...]:
-        if points and info.data.get("usaf") is None:
-            raise SettingError("{chart_at_mm}: requires {usaf}")
-        return points
-
-    @field_validator("method")
-    @classmethod
-    def _coherent_for_paper(cls, method: str, info: ValidationInfo) -> str:
-        for name in ("source_deg", "bandwidth_nm"):
-            if method == "paper" and info.data.get(name):
-                raise SettingError(
-                    f"{{{name}}}: cannot be used with {{method}} paper, which assumes coherent light"
-                )
-        return method
 
     @property
     def most_iterations(self) -> int:
@@ -826,58 +784,50 @@ class ColourSettings(PoseSettings, EngineSettings, PatchSettings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
 
-    kind: Literal["complex", "amplitude", "thickness"] = Field(
+    kind: Literal["complex", "amplitude", "thickness"] = setting(
         "complex",
-        description="Object: complex or amplitude at each wavelength, or a grey film whose thickness all "
+        "Object: complex or amplitude at each wavelength, or a grey film whose thickness all "
         "wavelengths share.",
-        json_schema_extra={"group": OptionGroup.OBJECT},
+        OptionGroup.OBJECT,
     )
-    iterations: int = Field(150, ge=1, description="Largest number of iterations.")
-    tv_weight: float | Literal["auto"] = Field(
-        "auto", description="Weight of the total variation; auto: from the noise."
+    iterations: int = setting(150, "Largest number of iterations.", ge=1)
+    tv_weight: float | Literal["auto"] = setting(
+        "auto", "Weight of the total variation; auto: from the noise."
     )
-    start: Literal["even", "amplitude"] = Field(
-        "even", description="Start: even, or amplitude: first iterations seek an amplitude object."
+    start: Literal["even", "amplitude"] = setting(
+        "even", "Start: even, or amplitude: first iterations seek an amplitude object."
     )
-    scale: Size | None = Field(
+    scale: Size | None = setting(
+        None, "Recorded amplitude where the transmission is 1; default: fitted.", OptionGroup.OBJECT
+    )
+    fill_factor: float = setting(
+        1.0, "Linear fill factor of a pixel (0 to 1).", OptionGroup.CAMERA, ge=0.0, le=1.0
+    )
+    film_index: FilmIndex | None = setting(
         None,
-        description="Recorded amplitude where the transmission is 1; default: fitted.",
-        json_schema_extra={"group": OptionGroup.OBJECT},
+        "Refractive index of a film in air, whose height is then found from all wavelengths.",
+        OptionGroup.OBJECT,
     )
-    fill_factor: float = Field(
-        1.0,
-        ge=0.0,
-        le=1.0,
-        description="Linear fill factor of a pixel (0 to 1).",
-        json_schema_extra={"group": OptionGroup.CAMERA},
-    )
-    film_index: float | None = Field(
+    heights_um: Pair | None = setting(
         None,
-        gt=1.0,
-        le=5.0,
-        description="Refractive index of a film in air, whose height is then found from all wavelengths.",
-        json_schema_extra={"group": OptionGroup.OBJECT},
+        "Lowest and highest possible height; default: the range that is unambiguous.",
+        OptionGroup.OBJECT,
+        metavar="LOW,HIGH",
     )
-    heights_um: Pair | None = Field(
+    ground_mm: Region | None = setting(
         None,
-        description="Lowest and highest possible height; default: the range that is unambiguous.",
-        json_schema_extra={"group": OptionGroup.OBJECT, "metavar": "LOW,HIGH"},
+        "x,y,width,height of a region whose height is 0; default: the most common phase.",
+        OptionGroup.OBJECT,
+        metavar="X,Y,WIDTH,HEIGHT",
     )
-    ground_mm: tuple[float, float, float, float] | None = Field(
-        None,
-        description="x,y,width,height of a region whose height is 0; default: the most common phase.",
-        json_schema_extra={"group": OptionGroup.OBJECT, "metavar": "X,Y,WIDTH,HEIGHT"},
-    )
-    repeats: int = Field(
+    repeats: int = setting(
         10,
+        "Repeats with other noise, from which the deviations of heights follow.",
+        OptionGroup.EVALUATION,
         ge=2,
         le=1000,
-        description="Repeats with other noise, from which the deviations of heights follow.",
-        json_schema_extra={"group": OptionGroup.EVALUATION},
     )
-    seed: int = Field(
-        0, ge=0, description="Seed of that noise.", json_schema_extra={"group": OptionGroup.OUTPUT}
-    )
+    seed: Seed = setting(0, "Seed of that noise.", OptionGroup.OUTPUT)
 
     @field_validator("tv_weight")
     @classmethod
@@ -886,22 +836,12 @@ class ColourSettings(PoseSettings, EngineSettings, PatchSettings):
             raise ValueError("must be finite and not negative, or 'auto'")
         return weight
 
-    @field_validator("film_index")
+    @field_validator("heights_um")
     @classmethod
-    def _of_films(cls, film_index: float | None, info: ValidationInfo) -> float | None:
-        kind = info.data.get("kind")
-        if film_index is not None and kind == "amplitude":
-            raise SettingError("{film_index}: cannot be used with {kind} amplitude, which has no phase")
-        return film_index
-
-    @field_validator("heights_um", "ground_mm")
-    @classmethod
-    def _with_index(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None and info.data.get("film_index") is None:
-            raise SettingError(f"{{{info.field_name}}}: requires {{film_index}}")
-        if value is not None and info.field_name == "heights_um" and not value[0] < value[1]:
+    def _increasing(cls, heights: Pair | None) -> Pair | None:
+        if heights is not None and not heights[0] < heights[1]:
             raise ValueError("must be two increasing numbers")
-        return value
+        return heights
 
 
 class FreeSpaceSettings(Settings):
@@ -909,27 +849,18 @@ class FreeSpaceSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.FREE_SPACE
 
-    free_space: bool = Field(
-        False, description="Reconstruct the field on z = 0 from frames without a lens, on their pitch."
+    free_space: bool = setting(
+        False, "Reconstruct the field on z = 0 from frames without a lens, on their pitch."
     )
-    calibrate: bool = Field(
-        False,
-        description="First calibrate the bench; in free space: distances, drift and exposures.",
-        json_schema_extra={"group": OptionGroup.SOLVER},
+    calibrate: bool = setting(
+        False, "First calibrate the bench; in free space: distances, drift and exposures.", OptionGroup.SOLVER
     )
-    numerical_aperture: Size | None = Field(
-        None, description="Numerical aperture of light in free space; default: from the frames' spectra."
+    numerical_aperture: Size | None = setting(
+        None, "Numerical aperture of light in free space; default: from the frames' spectra."
     )
-    predict_mm: Numbers | None = Field(
-        None, description="Distances of further planes in free space whose amplitudes are predicted."
+    predict_mm: Numbers | None = setting(
+        None, "Distances of further planes in free space whose amplitudes are predicted."
     )
-
-    @field_validator("numerical_aperture", "predict_mm")
-    @classmethod
-    def _in_free_space(cls, value: Any, info: ValidationInfo) -> Any:
-        if value not in (None, False) and not info.data.get("free_space"):
-            raise SettingError(f"{{{info.field_name}}}: requires {{free_space}}")
-        return value
 
 
 class LayerReconstructionSettings(LayerSettings):
@@ -937,18 +868,11 @@ class LayerReconstructionSettings(LayerSettings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
 
-    undetermined_layers: bool = Field(
+    undetermined_layers: bool = setting(
         False,
-        description="Reconstruct layers even if the frames do not determine them: the result is one of many "
+        "Reconstruct layers even if the frames do not determine them: the result is one of many "
         "solutions, with few edges.",
     )
-
-    @field_validator("undetermined_layers")
-    @classmethod
-    def _of_layers(cls, value: bool, info: ValidationInfo) -> bool:
-        if value and not info.data.get("layers_um"):
-            raise SettingError("{undetermined_layers}: requires {layers_um}")
-        return value
 
 
 class PlanSettings(Settings):
@@ -958,64 +882,36 @@ class PlanSettings(Settings):
 
     model_config = ConfigDict(loc_by_alias=False)
 
-    kind: Kind = Field(
-        "complex", description="Kind of the object.", json_schema_extra={"group": OptionGroup.OBJECT}
+    kind: Kind = setting("complex", "Kind of the object.", OptionGroup.OBJECT)
+    patch_mm: Size | None = setting(
+        None, "Side of the object patch; default: the whole field.", OptionGroup.OBJECT
     )
-    patch_mm: Size | None = Field(
+    wavelength_um: Annotated[Size, _plausible(WAVELENGTH_UM)] | None = setting(
+        None, "Wavelength; default: the design's first.", OptionGroup.ILLUMINATION
+    )
+    planes_mm: Pair | None = setting(
         None,
-        description="Side of the object patch; default: the whole field.",
-        json_schema_extra={"group": OptionGroup.OBJECT},
+        "Distances of the nearest and farthest plane; default: the design's.",
+        metavar="NEAREST,FARTHEST",
+        options=["plane_distance_mm", "planes_mm"],
     )
-    wavelength_um: Size | None = Field(
-        None,
-        description="Wavelength; default: the design's first.",
-        json_schema_extra={"group": OptionGroup.ILLUMINATION},
-    )
-    planes_mm: Pair | None = Field(
-        None,
-        description="Distances of the nearest and farthest plane; default: the design's.",
-        json_schema_extra={
-            "metavar": "NEAREST,FARTHEST",
-            "options": ["plane_distance_mm", "planes_mm"],
-        },
-    )
-    most_planes: int = Field(
+    most_planes: int = setting(
         4,
+        "Largest number of planes, which are evenly spaced.",
+        options=["max_planes", "most_planes"],
         ge=1,
         le=8,
-        description="Largest number of planes, which are evenly spaced.",
-        json_schema_extra={"options": ["max_planes", "most_planes"]},
     )
-    exposures: Numbers = Field(
-        (1.0, 30.0, 1000.0), description="Exposure bracket; it is compared with its shortest exposure alone."
+    exposures: Exposures = setting(
+        (1.0, 30.0, 1000.0), "Exposure bracket; it is compared with its shortest exposure alone."
     )
-    correlation: float = Field(
-        0.99,
-        gt=0.0,
-        lt=1.0,
-        description="Required correlation of the object.",
-        json_schema_extra={"group": OptionGroup.EVALUATION},
+    correlation: float = setting(
+        0.99, "Required correlation of the object.", OptionGroup.EVALUATION, gt=0.0, lt=1.0
     )
-    full_well_electrons: Size = Field(
-        10_000.0,
-        alias="full_well",
-        ge=1.0,
-        le=1e9,
-        description="Full well in electrons.",
-        json_schema_extra={"options": ["full_well_electrons", "full_well"]},
-    )
-    read_noise_electrons: float = Field(
-        2.0,
-        alias="read_noise",
-        ge=0.0,
-        le=1e9,
-        description="Read noise in electrons.",
-        json_schema_extra={"options": ["read_noise_electrons", "read_noise"]},
-    )
-    bits: int = Field(12, ge=1, le=16, description="Bits of a count.")
-    seed: int = Field(
-        0, ge=0, description="Seed of object and noise.", json_schema_extra={"group": OptionGroup.OUTPUT}
-    )
+    full_well_electrons: FullWell = 10_000.0
+    read_noise_electrons: ReadNoise = 2.0
+    bits: Bits = 12
+    seed: Seed = setting(0, "Seed of object and noise.", OptionGroup.OUTPUT)
 
     @field_validator("planes_mm")
     @classmethod
@@ -1024,40 +920,31 @@ class PlanSettings(Settings):
             raise ValueError("must be two numbers, increasing and greater than 0")
         return planes
 
-    _lit = field_validator("exposures")(_bracket)
-
 
 class CalibrationSettings(FramedSettings):
     """Settings of :func:`wavesim.calibrate_frames`."""
 
     option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
 
-    engine: str = Field(
+    engine: str = setting(
         "auto",
-        description="Engine, or auto: eikonal for the search, and the cheapest that meets the error limit "
+        "Engine, or auto: eikonal for the search, and the cheapest that meets the error limit "
         "for the verdict.",
-        json_schema_extra={"metavar": "[auto|eikonal|slices|wpm|thin-lens|no-lens]"},
+        metavar="[auto|eikonal|slices|wpm|thin-lens|no-lens]",
     )
-    iterations: int = Field(5, ge=1, description="Iterations of each reconstruction within the search.")
-    most_mountings: int = Field(
-        80,
-        ge=1,
-        description="Largest number of benches that are tested.",
-        json_schema_extra={"options": ["max_mountings", "most_mountings"]},
+    iterations: int = setting(5, "Iterations of each reconstruction within the search.", ge=1)
+    most_mountings: int = setting(
+        80, "Largest number of benches that are tested.", options=["max_mountings", "most_mountings"], ge=1
     )
-    parameters: str = Field(
+    parameters: str = setting(
         "all",
-        description="Unknowns: all, groups, rigid (decenter and tilt of the lens), or names separated by "
+        "Unknowns: all, groups, rigid (decenter and tilt of the lens), or names separated by "
         "commas; a wrong name lists them.",
-        json_schema_extra={"metavar": "[all|light|lens|mounting|camera|rigid]|NAME,..."},
+        metavar="[all|light|lens|mounting|camera|rigid]|NAME,...",
     )
-    pivot_z_mm: float = Field(
-        0.0,
-        description="Centre of rotation, from the front vertex.",
-        json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
-    )
-    deviations: bool = Field(
+    pivot_z_mm: float = setting(0.0, "Centre of rotation, from the front vertex.", OptionGroup.MOUNTED_LENS)
+    deviations: bool = setting(
         True,
-        description="State standard deviations; return parameters that are not needed to nominal.",
-        json_schema_extra={"group": OptionGroup.EVALUATION},
+        "State standard deviations; return parameters that are not needed to nominal.",
+        OptionGroup.EVALUATION,
     )

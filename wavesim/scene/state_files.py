@@ -9,47 +9,38 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, ConfigDict, Field, create_model, field_validator
 
 from lensdesign.common.atomic_files import atomic_path
-from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
+from lensdesign.common.frozen_model import FrozenModel, Positive
 from lensdesign.common.input_files import read_json
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.poses import SurfacePerturbation, Value
 from lensdesign.lens.surface_figure import SurfaceFigure
-from wavesim.scene.light_errors import LightErrors, Orders
-from wavesim.scene.source import Source
+from wavesim.scene.light_errors import Orders
 from wavesim.scene.system_state import SystemState
 
 STATE = "state"
 """Key of the state in files."""
 
-Pair = tuple[Finite, Finite]
-Triple = tuple[Finite, Finite, Finite]
-Numbers = tuple[Finite, ...]
-Modes = dict[Annotated[str, Field(pattern=r"^\d\d$")], Finite]
+
+class _Table(FrozenModel):
+    """Table of a file, whose numbers are finite."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
 
-class _Pose(FrozenModel):
-    decenter_x_mm: Finite = 0.0
-    decenter_y_mm: Finite = 0.0
-    despace_mm: Finite = 0.0
-    tilt_x_deg: Finite = 0.0
-    tilt_y_deg: Finite = 0.0
-    pivot_z_mm: Finite = 0.0
-
-
-class _Figure(FrozenModel):
+class _Figure(_Table):
     semi_diameter_mm: Positive
     spacing_mm: Positive
-    coefficients_mm: tuple[tuple[Finite, ...], ...]
+    coefficients_mm: tuple[tuple[float, ...], ...]
 
     @field_validator("coefficients_mm")
     @classmethod
@@ -59,52 +50,57 @@ class _Figure(FrozenModel):
             raise ValueError("must be a rectangle of at least 4 by 4 numbers")
         return coefficients
 
-
-class _Surface(FrozenModel):
-    decenter_x_mm: Finite = 0.0
-    decenter_y_mm: Finite = 0.0
-    despace_mm: Finite = 0.0
-    tilt_x_deg: Finite = 0.0
-    tilt_y_deg: Finite = 0.0
-    radius_mm: Finite = 0.0
-    conic: Finite = 0.0
-    thickness_mm: Finite = 0.0
-    index: Finite = 0.0
-    coating_thickness_percent: Finite = 0.0
-    shape: dict[str, Finite] = Field(default_factory=dict)
-    figure: _Figure | None = None
-    roughness_rms_nm: Finite = 0.0
+    def figure(self) -> SurfaceFigure:
+        return SurfaceFigure(self.semi_diameter_mm, self.spacing_mm, np.array(self.coefficients_mm))
 
 
-class _Light(FrozenModel):
-    tilt_deg: Pair = (0.0, 0.0)
-    amplitude: Modes = Field(default_factory=dict)
-    phase_waves: Modes = Field(default_factory=dict)
+def _by_orders(modes: Mapping[str, float]) -> dict[Orders, float]:
+    return {(int(name[0]), int(name[1])): value for name, value in modes.items()}
 
 
-class _Source(FrozenModel):
-    width_deg: Finite = 0.0
-    bandwidth_nm: Finite = 0.0
+def _by_index(surfaces: Mapping[str, SurfacePerturbation]) -> dict[int, SurfacePerturbation]:
+    return {int(number) - 1: surface for number, surface in surfaces.items()}
 
 
-class _State(FrozenModel):
-    pose: _Pose = _Pose()
-    surfaces: dict[Annotated[str, Field(pattern=r"^[1-9]\d*$")], _Surface] = Field(default_factory=dict)
-    object_shift_mm: Triple = (0.0, 0.0, 0.0)
-    sensor_shift_mm: Triple = (0.0, 0.0, 0.0)
-    plane_distance_errors_mm: Numbers = ()
-    # In files of earlier versions, which lack this key, these errors replace the z component of the shift.
-    plane_distance_errors_add: bool = False
-    sensor_tilt_deg: Pair = (0.0, 0.0)
-    wavelength_um: Positive | None = None
-    light: _Light = _Light()
-    plane_shifts_um: tuple[Pair, ...] = ()
-    plane_backgrounds: Numbers = ()
-    plane_background_slopes: tuple[Pair, ...] = ()
-    plane_exposure_errors: Numbers = ()
-    nonlinearity: Finite = 0.0
-    vibration_um: Finite = 0.0
-    source: _Source = _Source()
+FORMS: dict[Any, Any] = {
+    Value: float,
+    float | None: Positive | None,
+    Mapping[str, Value]: Mapping[str, float],
+    Mapping[Orders, float]: Annotated[
+        dict[Annotated[str, Field(pattern=r"^\d\d$")], float], AfterValidator(_by_orders)
+    ],
+    SurfaceFigure | None: Annotated[_Figure, AfterValidator(_Figure.figure)] | None,
+}
+"""Types of fields as they are read from a file, where these differ from those of the dataclass."""
+
+KEYS = {"surface_perturbations": "surfaces"}
+"""Keys of fields, where these differ from their names."""
+
+
+def _table_of(kind: type, **further: Any) -> type[_Table]:
+    """Return the table whose keys are the fields of a dataclass; each of them may be omitted."""
+    hints = get_type_hints(kind, None, {"SurfaceFigure": SurfaceFigure})
+    keys: dict[str, Any] = {}
+    for one in fields(kind):
+        is_made = one.default_factory is not MISSING
+        default = {"default_factory": one.default_factory} if is_made else {"default": one.default}
+        keys[one.name] = (_form_of(hints[one.name]), Field(alias=KEYS.get(one.name), **default))
+    return create_model(kind.__name__, __base__=_Table, **keys | further)
+
+
+def _form_of(hint: Any) -> Any:
+    """Return the type that is read from a file and becomes that of a field."""
+    if is_dataclass(hint) and isinstance(hint, type):
+        return Annotated[_table_of(hint), AfterValidator(lambda read: hint(**dict(read)))]
+    return FORMS.get(hint, hint)
+
+
+FORMS[Mapping[int, SurfacePerturbation]] = Annotated[
+    dict[Annotated[str, Field(pattern=r"^[1-9]\d*$")], _form_of(SurfacePerturbation)],  # type: ignore[misc]
+    AfterValidator(_by_index),
+]
+# In files of earlier versions, which lack this key, the errors of planes replace the z shift of the sensor.
+_State = _table_of(SystemState, plane_distance_errors_add=(bool, False))
 
 
 def state_table(state: SystemState) -> dict[str, Any]:
@@ -136,8 +132,6 @@ def _deviations(value: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any, name: str) -> Any:
-    if isinstance(value, Pose | SurfacePerturbation | LightErrors | Source):
-        return _deviations(value)
     if isinstance(value, SurfaceFigure):
         if value.trials is not None:
             raise InputError(f"state: {name}: holds the figures of several trials; a state describes one")
@@ -146,6 +140,8 @@ def _plain(value: Any, name: str) -> Any:
             "spacing_mm": value.spacing_mm,
             "coefficients_mm": value.coefficients.tolist(),
         }
+    if is_dataclass(value):
+        return _deviations(value)
     if isinstance(value, Mapping):
         return {
             "".join(map(str, key)) if isinstance(key, tuple) else key: _plain(one, name)
@@ -177,53 +173,22 @@ def state_from_table(table: Mapping[str, Any], path: str | os.PathLike[str], len
     InputError
         If a key is unknown, a value is not allowed, or the lens has no such surface.
     """
-    read = validate(_State, dict(table), Path(path))
+    values = dict(validate(_State, dict(table), Path(path)))
     count = len(lens.surfaces)
-    for number in read.surfaces:
-        if int(number) > count:
+    for index in values["surface_perturbations"]:
+        if index >= count:
             raise InputError(
-                f"{path}: {STATE}: surfaces: {number}: the lens has {count} surfaces; give the design to "
+                f"{path}: {STATE}: surfaces: {index + 1}: the lens has {count} surfaces; give the design to "
                 "which the state belongs"
             )
-    errors_mm = read.plane_distance_errors_mm
-    if not read.plane_distance_errors_add:
-        errors_mm = tuple(error - read.sensor_shift_mm[2] for error in errors_mm)
+    if not values.pop("plane_distance_errors_add"):
+        shift_mm = values["sensor_shift_mm"][2]
+        errors_mm = tuple(error - shift_mm for error in values["plane_distance_errors_mm"])
+        values["plane_distance_errors_mm"] = errors_mm
     try:
-        return SystemState(
-            pose=Pose(**read.pose.model_dump()),
-            surface_perturbations={int(n) - 1: _surface(one) for n, one in read.surfaces.items()},
-            object_shift_mm=read.object_shift_mm,
-            sensor_shift_mm=read.sensor_shift_mm,
-            plane_distance_errors_mm=errors_mm,
-            sensor_tilt_deg=read.sensor_tilt_deg,
-            wavelength_um=read.wavelength_um,
-            light=LightErrors(
-                read.light.tilt_deg, _by_orders(read.light.amplitude), _by_orders(read.light.phase_waves)
-            ),
-            plane_shifts_um=read.plane_shifts_um,
-            plane_backgrounds=read.plane_backgrounds,
-            plane_background_slopes=read.plane_background_slopes,
-            plane_exposure_errors=read.plane_exposure_errors,
-            nonlinearity=read.nonlinearity,
-            vibration_um=read.vibration_um,
-            source=Source(**read.source.model_dump()),
-        )
+        return SystemState(**values)
     except InputError as error:
         raise InputError(f"{path}: {STATE}: {error}") from None
-
-
-def _surface(read: _Surface) -> SurfacePerturbation:
-    values = read.model_dump(exclude={"figure"})
-    if read.figure is None:
-        return SurfacePerturbation(**values)
-    coefficients = np.array(read.figure.coefficients_mm)
-    return SurfacePerturbation(
-        **values, figure=SurfaceFigure(read.figure.semi_diameter_mm, read.figure.spacing_mm, coefficients)
-    )
-
-
-def _by_orders(modes: Mapping[str, float]) -> dict[Orders, float]:
-    return {(int(name[0]), int(name[1])): value for name, value in modes.items()}
 
 
 def write_state(state: SystemState, path: str | os.PathLike[str]) -> Path:

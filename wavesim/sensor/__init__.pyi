@@ -5,18 +5,12 @@ from .frames import Frame, FrameSettings, read_frame, write_frame
 from .imaging import Imaged, image
 from .measurement import Measurement, recorded_intensity
 from .merged_exposures import estimate_intensity, merged_intensity
-from .recording import Recording, drop_parts, image_patch
-from .sensor import (
-    FootprintWarning,
-    frames_of_light,
-    interference_on_pixels,
-    light_on_pixels,
-    record,
-    sensor_grid,
-)
+from .recording import Recorder, Recording, drop_parts
+from .sensor import Camera, FootprintWarning, interference_on_pixels, light_on_pixels, sensor_grid
 from .windows import DiversityWarning, diversity, exit_scene, sensor_window
 
 __all__ = [
+    "Camera",
     "ColourFilters",
     "DiversityWarning",
     "Electronics",
@@ -25,15 +19,14 @@ __all__ = [
     "FrameSettings",
     "Imaged",
     "Measurement",
+    "Recorder",
     "Recording",
     "SaturationWarning",
     "diversity",
     "drop_parts",
     "estimate_intensity",
     "exit_scene",
-    "frames_of_light",
     "image",
-    "image_patch",
     "interference_on_pixels",
     "light_on_pixels",
     "merged_intensity",
@@ -41,7 +34,6 @@ __all__ = [
     "read_colour_frames",
     "read_frame",
     "read_frames",
-    "record",
     "recorded_intensity",
     "recorded_planes",
     "sensor_grid",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -38,18 +39,19 @@ from wavesim.sensor.pixels.non_uniformity import PixelErrors
 from wavesim.sensor.recording import (
     PARTS,
     Progress,
+    Recorder,
     Recording,
-    image_patch,
-    imaging_bytes,
-    recorded_scene,
 )
+from wavesim.sensor.sensor import Camera
 from wavesim.sensor.surface_scatter import scatter_of_patch
 from wavesim.sensor.windows import (
-    check_footprint,
+    central_window,
+    check_width,
     diversity,
-    footprint_mm,
     imaging_engine,
+    light_radius_mm,
     light_window,
+    pixels_across,
     sensor_window,
 )
 from wavesim.targets.colours import FILM_INDEX, channel_of, film
@@ -71,10 +73,8 @@ class Imaged:
         Samples of the object plane and the field stop.
     target : Target
         Object with its transmission.
-    sensor : Sensor
-        Sensor window that records.
     recording : Recording
-        Recording planes, electronics, noise and errors of the setup.
+        Recording planes, camera, noise and errors of the setup.
     engine : Engine
         Engine that propagates the light to the first plane.
     frames : tuple of Frame
@@ -111,7 +111,6 @@ class Imaged:
     settings: ImageSettings
     patch: Patch
     target: Target
-    sensor: Sensor
     recording: Recording
     engine: Engine
     frames: tuple[Frame, ...]
@@ -122,6 +121,11 @@ class Imaged:
     scattered: RoughnessReport | None = None
     layers: tuple[Target, ...] = ()
     coloured: tuple[Field, ...] = ()
+
+    @property
+    def sensor(self) -> Sensor:
+        """Sensor window that records."""
+        return self.recording.sensor
 
     def __repr__(self) -> str:
         return f"Imaged({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -210,85 +214,123 @@ def image(
     lens = object_of(lens, Lens, load_design, "lens")
     settings = (settings or ImageSettings()).replaced(**changes)
     validate_lengths(lens, settings)
-    recording = _recording(lens, settings, state)
-    true_state, planes = recording.state, recording.plane_distances_mm
-    if settings.layers_um is not None:
-        _check_source_of_layers(true_state.source)
-    objects = _objects(object_, settings)
-    patch, light = _patch_and_light(lens, objects[0], settings)
-    wavelengths = settings.wavelengths_um or (patch.wavelength_um,) * len(objects)
-    patches = [replace(patch, wavelength_um=one) for one in wavelengths]
-    targets = tuple(_target(lens, own, one, settings) for own, one in zip(patches, objects, strict=True))
-    layers = targets if settings.wavelengths_um is None else targets[:1]
-    pixels = lens.sensor.pixels if settings.pixels == "all" else settings.pixels
-    widest = max(patches, key=lambda one: max(footprint_mm(lens, one, z, true_state) for z in planes))
-    sensor = sensor_window(lens, widest, planes, pixels, true_state)
-    check_footprint(lens, widest, sensor, planes, true_state)
-    scattered = scatter_of_patch(lens, patch.grid, patch.wavelength_um, planes, true_state)
-    for note in scattered.notes if scattered is not None else ():
-        warnings.warn(note, RoughnessWarning, stacklevel=2)
-    windows = [
-        light_window(lens, widest, sensor, plane, true_state.at_plane(index))
-        for index, plane in enumerate(planes)
-    ]
-    light = placed_light(light, true_state)
-    target, behind_object = _behind_object(patch, light, layers, settings)
-    del light  # as large as the object field, which is kept
-    others = []
-    for own, one in zip(patches[len(layers) :], targets[len(layers) :], strict=True):
-        own_light = placed_light(lit(own, settings), true_state)
-        others.append(own_light.with_values(own_light.values * one.transmission.values))
+    plan = _plan(lens, object_, settings, state)
     limit = memory_limit(settings.memory_gb)
     with tiles_in(settings.cluster) as hand_over_tiles:
 
         def make(scene: Scene) -> Engine:
-            engine = imaging_engine(
-                scene, settings, runs=1, memory_gb=1e-9 * limit, light=Light(behind_object).on(scene)
-            )
+            light = Light(plan.behind_object).on(scene)
+            engine = imaging_engine(scene, settings, runs=1, memory_gb=1e-9 * limit, light=light)
             return hand_over_tiles(_with_ghosts(engine, settings))
 
-        engine = make(settings.applied_to(recorded_scene(lens, patch, windows[0], recording)))
-        memory = Memory(imaging_bytes(engine, sensor, windows, recording), limit)
-        predicted_error = predicted_error_of(engine, Light(behind_object))
-        scratch = scratch_in(folder, memory.room_for_arrays("this picture"))
+        recorder = Recorder(plan.recording, make(plan.scene), make, folder=folder)
+        memory = Memory(recorder.memory(), limit)
+        predicted_error = predicted_error_of(recorder.engine, Light(plan.behind_object))
+        recorder = replace(recorder, scratch=scratch_in(folder, memory.room_for_arrays("this picture")))
         if on_estimate is not None:
             on_estimate(memory)
         if progress is not None:
-            progress(f"engine {engine.name}", 0, 0)
+            progress(f"engine {recorder.engine.name}", 0, 0)
+            recorder = replace(recorder, progress=progress)
         try:
-            frames, fraction_beyond = image_patch(
-                engine,
-                behind_object,
-                sensor,
-                windows,
-                recording,
-                make,
-                progress,
-                folder=folder,
-                scratch=scratch,
-                ghosts=_smooth_ghosts(lens, behind_object, sensor, recording, settings),
-                others=others,
-            )
+            ghosts = _smooth_ghosts(lens, plan.behind_object, plan.recording, settings)
+            frames, fraction_beyond = recorder.frames(plan.behind_object, plan.others, ghosts)
         except KeyboardInterrupt:
             saved = folder is not None and (folder / PARTS).exists()
             hint = f"the finished parts are stored in {folder}/{PARTS}; repeat the command to continue"
             raise KeyboardInterrupt(f"interrupted; {hint if saved else 'nothing was written'}") from None
     return Imaged(
         settings=settings,
-        patch=patch,
-        target=target,
-        sensor=sensor,
-        recording=recording,
-        engine=engine,
+        patch=plan.patch,
+        target=plan.target,
+        recording=plan.recording,
+        engine=recorder.engine,
         frames=frames,
         share_beyond_pixels=fraction_beyond,
-        diversity=diversity(lens, patch, planes),
+        diversity=plan.diversity,
         memory=memory,
         predicted_error=predicted_error,
-        scattered=scattered,
-        layers=layers if settings.layers_um is not None else (),
-        coloured=tuple(one.transmission for one in targets) if others else (),
+        scattered=plan.scattered,
+        layers=plan.layers if settings.layers_um is not None else (),
+        coloured=plan.coloured,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """Checked inputs of a recording: the light behind the object, and what is recorded of it."""
+
+    patch: Patch
+    target: Target
+    layers: tuple[Target, ...]
+    coloured: tuple[Field, ...]
+    behind_object: Field
+    others: list[Field]
+    """Fields behind the object at further wavelengths."""
+    recording: Recording
+    scene: Scene
+    scattered: RoughnessReport | None
+    diversity: float
+
+
+def _plan(
+    lens: Lens,
+    object_: str | Field | Sequence[str | Field],
+    settings: ImageSettings,
+    state: SystemState | Pose | None,
+) -> _Plan:
+    """Check all inputs, and return what is recorded; the arguments are those of :func:`image`."""
+    recording = _recording(lens, settings, state)
+    if settings.layers_um is not None:
+        _check_source_of_layers(recording.state.source)
+    objects = _objects(object_, settings)
+    patch, light = _patch_and_light(lens, objects[0], settings)
+    wavelengths = settings.wavelengths_um or (patch.wavelength_um,) * len(objects)
+    patches = [replace(patch, wavelength_um=one) for one in wavelengths]
+    aperture, planes = lens.object.numerical_aperture, recording.plane_distances_mm
+    targets = tuple(_target(own, aperture, one, settings) for own, one in zip(patches, objects, strict=True))
+    recording = _with_windows(recording, lens, patches, settings)
+    scattered = scatter_of_patch(lens, patch.grid, patch.wavelength_um, planes, recording.state)
+    for note in scattered.notes if scattered is not None else ():
+        warnings.warn(note, RoughnessWarning, stacklevel=3)
+    light = placed_light(light, recording.state)
+    layers = targets if settings.wavelengths_um is None else targets[:1]
+    target, behind_object = _behind_object(patch, light, layers, settings)
+    del light  # as large as the object field, which is kept
+    others = []
+    for own, one in zip(patches[len(layers) :], targets[len(layers) :], strict=True):
+        own_light = placed_light(lit(own, settings), recording.state)
+        others.append(own_light.with_values(own_light.values * one.transmission.values))
+    return _Plan(
+        patch=patch,
+        target=target,
+        layers=layers,
+        coloured=tuple(one.transmission for one in targets) if others else (),
+        behind_object=behind_object,
+        others=others,
+        recording=recording,
+        scene=settings.applied_to(recording.scene(lens, patch)),
+        scattered=scattered,
+        diversity=diversity(lens, patch, planes),
+    )
+
+
+def _with_windows(
+    recording: Recording, lens: Lens, patches: Sequence[Patch], settings: ImageSettings
+) -> Recording:
+    """Return the recording with the window of its sensor, and one around the light of each plane."""
+    planes, state = recording.plane_distances_mm, recording.state
+    of_wavelengths = {patch.wavelength_um: patch for patch in patches}.values()
+    radii = max(([light_radius_mm(lens, one, z, state) for z in planes] for one in of_wavelengths), key=max)
+    widths = [2.0 * (radius + math.hypot(*state.sensor_shift_mm[:2])) for radius in radii]
+    whole = lens.sensor
+    pixels = whole.pixels if settings.pixels == "all" else settings.pixels
+    sensor = central_window(whole, planes, pixels_across(whole, max(widths)) if pixels is None else pixels)
+    for width, plane in zip(widths, planes, strict=True):
+        check_width(width, sensor, plane)
+    shifts = (math.hypot(*state.sensor_pose(index).shift_mm) for index in range(len(planes)))
+    windows = (light_window(sensor, 2.0 * (radius + s)) for radius, s in zip(radii, shifts, strict=True))
+    return replace(recording, camera=replace(recording.camera, sensor=sensor), windows=tuple(windows))
 
 
 def _objects(object_: str | Field | Sequence[str | Field], settings: ImageSettings) -> list[str | Field]:
@@ -365,15 +407,13 @@ def common_pixels(
 
 def _with_ghosts(engine: Engine, settings: ImageSettings) -> Engine:
     """Return the engine with the coherent ghosts that the settings ask for."""
-    if settings.ghost and settings.ghosts != "none":
-        raise SettingError("{ghost}, {ghosts}: both given; state a reflectance, or use the coatings")
     if settings.ghosts == "coherent":
         return WithGhost(engine)
     return WithGhost(engine, settings.ghost) if settings.ghost else engine
 
 
 def _smooth_ghosts(
-    lens: Lens, behind_object: Field, sensor: Sensor, recording: Recording, settings: ImageSettings
+    lens: Lens, behind_object: Field, recording: Recording, settings: ImageSettings
 ) -> list[Array]:
     """Return the smooth light of ghosts on every plane; none unless the settings ask for ghosts.
 
@@ -387,7 +427,7 @@ def _smooth_ghosts(
         ghost_light(
             coated,
             behind_object,
-            sensor,
+            recording.sensor,
             plane,
             only_beyond_lens=is_coherent,
             state=recording.state,
@@ -403,8 +443,6 @@ def _coloured_objects(
     """Return the object at each of several wavelengths."""
     assert settings.wavelengths_um is not None
     wavelengths = settings.wavelengths_um
-    if settings.wavelength_um is not None:
-        raise SettingError("{wavelength_um}, {wavelengths_um}: give only one of them")
     if settings.ghosts != "none" or settings.ghost:
         raise SettingError("{ghosts}, {ghost}: cannot be used with {wavelengths_um}")
     if settings.layers_um is not None:
@@ -441,7 +479,7 @@ def _patch_and_light(lens: Lens, object_: str | Field, settings: ImageSettings) 
     return patch, lit(patch, settings)
 
 
-def _target(lens: Lens, patch: Patch, object_: str | Field, settings: ImageSettings) -> Target:
+def _target(patch: Patch, numerical_aperture: float, object_: str | Field, settings: ImageSettings) -> Target:
     _validate_coloured(object_, settings)
     if isinstance(object_, Field):
         return Target("transmission", object_, (), "bright")
@@ -449,7 +487,7 @@ def _target(lens: Lens, patch: Patch, object_: str | Field, settings: ImageSetti
         patch,
         object_,
         settings.ground,
-        numerical_aperture=lens.object.numerical_aperture,
+        numerical_aperture=numerical_aperture,
         seed=settings.seed,
         picture_pixel_um=settings.picture_pixel_um,
         picture_width_mm=settings.picture_width_mm,
@@ -506,7 +544,9 @@ def _true_state(
 
 
 def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | None) -> Recording:
-    """Return the recording model that the settings describe."""
+    """Return the recording that the settings describe, with the whole sensor."""
+    if settings.ghost and settings.ghosts != "none":
+        raise SettingError("{ghost}, {ghosts}: both given; state a reflectance, or use the coatings")
     planes = settings.planes_mm or lens.sensor.plane_distances_mm
     exposures, exposure_errors = settings.exposures, settings.exposure_error
     if len(exposure_errors) not in (1, len(exposures)):
@@ -535,14 +575,13 @@ def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | 
         # Prevents clipping of dark noise at 0 and still leaves counts for light at few bits.
         "offset_counts": min(64.0, 2.0**settings.bits / 16.0),
     }
-    return Recording(
-        tuple(sorted(planes)),
+    camera = Camera(
+        lens.sensor,
         validate(Electronics, electronics, "sensor"),
-        settings.seed if settings.noise else None,
-        settings.peak_fill,
         exposures,
-        true,
-        pixels,
+        settings.peak_fill,
         exposure_errors * len(exposures) if len(exposure_errors) == 1 else exposure_errors,
+        pixels,
         None if colours is None else colour_filters(settings.colour_filters, colours),
     )
+    return Recording(camera, tuple(sorted(planes)), settings.seed if settings.noise else None, true)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from wavesim.sensor.camera_noise import (
 from wavesim.sensor.colour_filters import ColourFilters
 from wavesim.sensor.frames import Frame, FrameSettings
 from wavesim.sensor.pixel_integration import PixelLight
-from wavesim.sensor.pixels.non_uniformity import PixelPattern
+from wavesim.sensor.pixels.non_uniformity import ALIKE, PixelErrors, PixelPattern
 
 LOST = 1e-3
 """Fraction of the light outside the sensor above which a warning is issued."""
@@ -190,143 +190,124 @@ def warn_of_footprint(caught: float, total: float, sensor: Sensor) -> None:
         )
 
 
-def record(
-    field: Field,
-    sensor: Sensor,
-    plane_distance_mm: float,
-    electronics: Electronics,
-    seed: Seed | None,
-    *,
-    peak_fill: float = 0.8,
-    exposure: float | None = None,
-    oversampling: int = 2,
-    stage_error_mm: float = 0.0,
-    shift_um: tuple[float, float] = (0.0, 0.0),
-    title: str = "",
-) -> Frame:
-    """Return the frame that a sensor records of a field.
+@dataclass(frozen=True)
+class Camera:
+    """A sensor with its electronics and pixels, and the exposures of each plane.
 
-    Parameters
+    Attributes
     ----------
-    field, sensor, oversampling, stage_error_mm, shift_um
-        See :func:`light_on_pixels`.
-    plane_distance_mm
-        Distance of the field's plane from the exit vertex. The frame states it, without the stage error.
-    electronics, seed
-        See :func:`wavesim.sensor.camera_noise.expose`.
-    peak_fill
-        Expected electrons in the brightest pixel, as a fraction of full well.
-    exposure
-        Electrons per unit of intensity; replaces `peak_fill`.
-    title
-        Free text for the frame.
-
-    Raises
-    ------
-    InputError, SamplingError
-        If :func:`light_on_pixels` fails, there is no light, or a setting of the frame is invalid.
-
-    Warns
-    -----
-    FootprintWarning, SaturationWarning
-        If light falls outside the sensor, or pixels are clipped.
-    """
-    intensity = light_on_pixels(
-        field,
-        sensor,
-        fill_factor=electronics.fill_factor,
-        oversampling=oversampling,
-        stage_error_mm=stage_error_mm,
-        shift_um=shift_um,
-    )
-    if exposure is None:
-        exposure = exposure_for(intensity, peak_fill * electronics.full_well_electrons)
-    settings = _settings(sensor, plane_distance_mm, field.wavelength_um, electronics, exposure, title)
-    return Frame(expose(intensity, exposure, electronics, seed), settings)
-
-
-def frames_of_light(
-    intensity: Array,
-    sensor: Sensor,
-    plane_distance_mm: float,
-    wavelength_um: float,
-    electronics: Electronics,
-    seed: Seed | None,
-    times: Sequence[float],
-    peak_fill: float = 0.8,
-    *,
-    pattern: PixelPattern | None = None,
-    exposure_errors: Sequence[float] = (),
-    colours: ColourFilters | None = None,
-) -> tuple[Frame, ...]:
-    """Return the frames that a sensor records of one intensity with several exposures.
-
-    Parameters
-    ----------
-    intensity
-        Mean intensity on each pixel, from :func:`light_on_pixels`.
-    sensor, plane_distance_mm, electronics, seed, peak_fill
-        See :func:`record`. With one exposure the noise is that of :func:`record`.
-    wavelength_um
-        Vacuum wavelength.
-    times
-        Exposures relative to the exposure that reaches `peak_fill` in the brightest pixel.
-    pattern
-        Gain and dark signal of each pixel; default: identical pixels.
-    exposure_errors
-        Relative errors (true over stated exposure, minus 1); default: no errors.
-    colours
-        Wavelengths of the light and the responses of the pixels, which the frames state.
+    sensor : Sensor
+        Pitch and number of pixels.
+    electronics : Electronics
+        Full well, noise and quantisation.
+    exposures : tuple of float
+        Exposures of the frames of each plane, relative to the exposure that reaches `peak_fill`.
+    peak_fill : float
+        Expected electrons in the brightest pixel at an exposure of 1, as a fraction of full well.
+    exposure_errors : tuple of float
+        Relative errors (true over stated exposure, minus 1) of each exposure; default: no errors.
+    pixel_errors : PixelErrors
+        Non-uniformity of the pixels.
+    colours : ColourFilters or None
+        Wavelengths that are recorded at once, and the responses of the pixels; None for one wavelength.
 
     Raises
     ------
     InputError
-        If there is no light, `times` is empty, or an exposure or a setting of a frame is invalid.
+        If there is no exposure, or one is not finite and above 0.
 
-    Warns
-    -----
-    SaturationWarning
-        If pixels are clipped at an exposure of 1 or less; longer exposures are expected to clip.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lensdesign import Sensor
+    >>> from wavesim.sensor import Camera, Electronics
+    >>> sensor = Sensor(pixel_pitch_um=3.0, pixels=(4, 4), plane_distances_mm=(1.0,))
+    >>> camera = Camera(sensor, Electronics(), exposures=(0.5, 1.0))
+    >>> [int(frame.counts[0, 0]) for frame in camera.frames(np.ones((4, 4)), 1.0, 0.532, seed=None)]
+    [1676, 3289]
     """
-    if not times or not all(math.isfinite(time) and time > 0.0 for time in times):
-        raise InputError(f"times = {tuple(times)!r}: must be one exposure at least, finite and above 0")
-    unit_exposure = exposure_for(intensity, peak_fill * electronics.full_well_electrons)
-    frames = []
-    errors = exposure_errors or [0.0] * len(times)
-    for time, error, frame_seed in zip(times, errors, exposure_seeds(seed, len(times)), strict=True):
-        exposure = time * unit_exposure
-        settings = _settings(sensor, plane_distance_mm, wavelength_um, electronics, exposure, colours=colours)
-        with warnings.catch_warnings():
-            if time > 1.0:
-                warnings.simplefilter("ignore", SaturationWarning)
-            counts = expose(intensity, (1.0 + error) * exposure, electronics, frame_seed, pattern)
+
+    sensor: Sensor
+    electronics: Electronics
+    exposures: tuple[float, ...] = (1.0,)
+    peak_fill: float = 0.8
+    exposure_errors: tuple[float, ...] = ()
+    pixel_errors: PixelErrors = ALIKE
+    colours: ColourFilters | None = None
+
+    def __post_init__(self) -> None:
+        if not self.exposures or not all(math.isfinite(one) and one > 0.0 for one in self.exposures):
+            raise InputError(
+                f"exposures = {self.exposures!r}: must be one exposure at least, finite and above 0"
+            )
+
+    @cached_property
+    def pattern(self) -> PixelPattern | None:
+        """Gain and dark signal of each pixel; None if all pixels are ideal."""
+        return self.pixel_errors.pattern(self.sensor.pixels[::-1], self.electronics.full_well_electrons)
+
+    def frames(
+        self,
+        intensity: Array,
+        plane_distance_mm: float,
+        wavelength_um: float,
+        seed: Seed | None,
+        exposure_error: float = 0.0,
+    ) -> tuple[Frame, ...]:
+        """Return the frames of the light on one plane, one for each exposure.
+
+        Parameters
+        ----------
+        intensity
+            Mean intensity on each pixel, from :func:`light_on_pixels`.
+        plane_distance_mm
+            Distance of the plane from the exit vertex, which the frames state.
+        wavelength_um
+            Vacuum wavelength.
+        seed
+            Seed of the noise; None for frames without noise. A single exposure uses it as it is.
+        exposure_error
+            Further relative error of all exposures.
+
+        Raises
+        ------
+        InputError
+            If there is no light, or an exposure or a setting of a frame is invalid.
+
+        Warns
+        -----
+        SaturationWarning
+            If pixels are clipped at an exposure of 1 or less; longer exposures are expected to clip.
+        """
+        count, of_plane = len(self.exposures), 1.0 + exposure_error
+        unit = exposure_for(intensity, self.peak_fill * self.electronics.full_well_electrons)
+        errors, seeds = self.exposure_errors or (0.0,) * count, exposure_seeds(seed, count)
+        frames = []
+        for relative, error, frame_seed in zip(self.exposures, errors, seeds, strict=True):
+            settings = self._settings(plane_distance_mm, wavelength_um, relative * unit)
+            true = (1.0 + ((1.0 + error) * of_plane - 1.0)) * (relative * unit)
+            with warnings.catch_warnings():
+                if relative > 1.0:
+                    warnings.simplefilter("ignore", SaturationWarning)
+                counts = expose(intensity, true, self.electronics, frame_seed, self.pattern)
             frames.append(Frame(counts, settings))
-    return tuple(frames)
+        return tuple(frames)
 
-
-def _settings(
-    sensor: Sensor,
-    plane_distance_mm: float,
-    wavelength_um: float,
-    electronics: Electronics,
-    exposure: float,
-    title: str = "",
-    colours: ColourFilters | None = None,
-) -> FrameSettings:
-    try:
-        return FrameSettings(
-            pixel_pitch_um=sensor.pixel_pitch_um,
-            plane_distance_mm=plane_distance_mm,
-            wavelength_um=wavelength_um,
-            exposure=exposure,
-            bits=electronics.bits,
-            offset_counts=electronics.offset_counts,
-            gain_electrons_per_count=electronics.gain,
-            read_noise_electrons=electronics.read_noise_electrons,
-            saturation_counts=electronics.saturation_counts,
-            title=title,
-            colours=colours,
-        )
-    except ValidationError as error:
-        faults = "; ".join(f"{'.'.join(map(str, f['loc']))}: {f['msg']}" for f in error.errors())
-        raise InputError(f"frame settings: {faults}") from None
+    def _settings(self, plane_distance_mm: float, wavelength_um: float, exposure: float) -> FrameSettings:
+        electronics = self.electronics
+        try:
+            return FrameSettings(
+                pixel_pitch_um=self.sensor.pixel_pitch_um,
+                plane_distance_mm=plane_distance_mm,
+                wavelength_um=wavelength_um,
+                exposure=exposure,
+                bits=electronics.bits,
+                offset_counts=electronics.offset_counts,
+                gain_electrons_per_count=electronics.gain,
+                read_noise_electrons=electronics.read_noise_electrons,
+                saturation_counts=electronics.saturation_counts,
+                colours=self.colours,
+            )
+        except ValidationError as error:
+            faults = "; ".join(f"{'.'.join(map(str, f['loc']))}: {f['msg']}" for f in error.errors())
+            raise InputError(f"frame settings: {faults}") from None

@@ -80,14 +80,22 @@ def footprint_mm(
 ) -> float:
     """Return the diameter, in mm, of a disc about the sensor's centre that contains a patch's light.
 
-    Rays determine the disc on the plane. It is the smallest one if object and sensor are not displaced.
+    Parameters and errors are those of :func:`light_radius_mm`. The disc is the smallest one if object and
+    sensor are not displaced.
+    """
+    state = state_of(state)
+    radius_mm = light_radius_mm(lens, patch, plane_distance_mm, state)
+    return 2.0 * (radius_mm + math.hypot(*state.sensor_shift_mm[:2]))
+
+
+def light_radius_mm(lens: Lens, patch: Patch, plane_distance_mm: float, state: SystemState) -> float:
+    """Return the largest distance from the axis, in mm, of a patch's rays on a plane.
 
     Raises
     ------
     DesignError
         If no ray passes the lens.
     """
-    state = state_of(state)
     x, y, z = state.object_shift_mm
     # Light of a displaced object crosses the nominal object plane outside the field stop by this margin.
     margin = math.hypot(x, y) + abs(z) * math.tan(math.asin(min(lens.object.numerical_aperture, 0.99)))
@@ -95,7 +103,7 @@ def footprint_mm(
     space = lens.object.replaced(field_diameter_mm=patch.field_stop_mm + 2.0 * margin)
     lit = lens.replaced(object=space)
     found = footprint(lit, patch.wavelength_um, plane_distance_mm, state.pose, state.surface_perturbations)
-    return 2.0 * (found.radius_mm + math.hypot(*state.sensor_shift_mm[:2]))
+    return found.radius_mm
 
 
 def sensor_window(
@@ -123,7 +131,33 @@ def sensor_window(
     InputError
         If the sensor has fewer pixels than requested.
     """
-    whole = lens.sensor
+    if pixels is None:
+        widest = max(footprint_mm(lens, patch, z, state) for z in plane_distances_mm)
+        pixels = pixels_across(lens.sensor, widest)
+    return central_window(lens.sensor, plane_distances_mm, pixels)
+
+
+def pixels_across(sensor: Sensor, width_mm: float) -> tuple[int, int]:
+    """Return the pixels (across, down) of a window over light of a width, at most those of the sensor."""
+    needed = _pixels_over(width_mm, sensor)
+    across, down = (min(needed, most) for most in sensor.pixels)
+    return across, down
+
+
+def _pixels_over(width_mm: float, sensor: Sensor) -> int:
+    return scipy.fft.next_fast_len(math.ceil(1e3 * WINDOW_MARGIN * width_mm / sensor.pixel_pitch_um))
+
+
+def central_window(
+    whole: Sensor, plane_distances_mm: Sequence[float], pixels: int | tuple[int, int]
+) -> Sensor:
+    """Return the central window of a sensor with a number of pixels along each side, or (across, down).
+
+    Raises
+    ------
+    InputError
+        If the sensor has fewer pixels.
+    """
     if isinstance(pixels, tuple):
         if not all(1 <= n <= most for n, most in zip(pixels, whole.pixels, strict=True)):
             across, down = whole.pixels
@@ -131,13 +165,9 @@ def sensor_window(
                 f"pixels = {pixels[0]} x {pixels[1]}: must be from 1 x 1 to the sensor's {across} x {down}"
             )
         return whole.replaced(pixels=pixels, plane_distances_mm=tuple(sorted(plane_distances_mm)))
-    if pixels is not None and not 1 <= pixels <= min(whole.pixels):
+    if not 1 <= pixels <= min(whole.pixels):
         raise InputError(f"pixels = {pixels}: must be from 1 to the sensor's {min(whole.pixels)}")
-    if pixels is None:
-        widest = max(footprint_mm(lens, patch, z, state) for z in plane_distances_mm)
-        pixels = scipy.fft.next_fast_len(math.ceil(1e3 * WINDOW_MARGIN * widest / whole.pixel_pitch_um))
-    across, down = (min(pixels, most) for most in whole.pixels)
-    return whole.replaced(pixels=(across, down), plane_distances_mm=tuple(sorted(plane_distances_mm)))
+    return whole.replaced(pixels=(pixels, pixels), plane_distances_mm=tuple(sorted(plane_distances_mm)))
 
 
 def check_footprint(
@@ -160,19 +190,23 @@ def check_footprint(
         If a smaller fraction lies outside.
     """
     for distance in plane_distances_mm:
-        width = footprint_mm(lens, patch, distance, state)
-        lost = _fraction_outside(width, sensor.size_mm)
-        if lost <= 0.0:
-            continue
-        across, down = sensor.size_mm
-        message = (
-            f"plane at {distance:g} mm: the light's footprint of {width:.4g} mm reaches beyond the sensor's "
-            f"{across:.4g} mm x {down:.4g} mm with {100.0 * lost:.2g} % of its area: use a "
-            "smaller patch, more pixels or a nearer plane"
-        )
-        if lost > LARGEST_CUT:
-            raise InputError(message)
-        warnings.warn(message, FootprintWarning, stacklevel=2)
+        check_width(footprint_mm(lens, patch, distance, state), sensor, distance)
+
+
+def check_width(width_mm: float, sensor: Sensor, plane_distance_mm: float) -> None:
+    """Check that a footprint of a width on a plane falls on the sensor; see :func:`check_footprint`."""
+    lost = _fraction_outside(width_mm, sensor.size_mm)
+    if lost <= 0.0:
+        return
+    across, down = sensor.size_mm
+    message = (
+        f"plane at {plane_distance_mm:g} mm: the light's footprint of {width_mm:.4g} mm reaches beyond the "
+        f"sensor's {across:.4g} mm x {down:.4g} mm with {100.0 * lost:.2g} % of its area: use a "
+        "smaller patch, more pixels or a nearer plane"
+    )
+    if lost > LARGEST_CUT:
+        raise InputError(message)
+    warnings.warn(message, FootprintWarning, stacklevel=3)
 
 
 def _fraction_outside(width_mm: float, sides_mm: tuple[float, float]) -> float:
@@ -248,11 +282,8 @@ def exit_scene(
     return Scene(lens, patch.grid, grid, patch.wavelength_um, pose, polarization=SCALAR)
 
 
-def light_window(
-    lens: Lens, patch: Patch, sensor: Sensor, distance_mm: float, state: SystemState | Pose = AS_DESIGNED
-) -> Sensor:
-    """Return a sensor window, widened where necessary to cover all light of a patch on a plane."""
-    width = WINDOW_MARGIN * footprint_mm(lens, patch, distance_mm, state)
-    needed = scipy.fft.next_fast_len(math.ceil(1e3 * width / sensor.pixel_pitch_um))
+def light_window(sensor: Sensor, footprint_mm: float) -> Sensor:
+    """Return a sensor window, widened where necessary to cover light of a diameter about its centre."""
+    needed = _pixels_over(footprint_mm, sensor)
     across, down = (max(n, needed) for n in sensor.pixels)
     return sensor.replaced(pixels=(across, down))

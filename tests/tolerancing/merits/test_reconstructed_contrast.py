@@ -11,7 +11,6 @@ from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.reconstructed_contrast import ReconstructedContrast
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
-from wavesim.sensor.recording import recorded_scene
 
 DECENTER = PerturbedParameter(target="lens", parameter="decenter_y_mm")
 OBJECT = PerturbedParameter(target="object", parameter="decenter_x_mm")
@@ -67,7 +66,7 @@ def system_of(lens, target, parameter, value):
 
 
 def scene_of(chain, system):
-    return recorded_scene(chain.lens, chain.patch, chain.sensor, chain.recording(system, None, 12, None))
+    return chain.recording(system, None, 12, None).scene(chain.lens, chain.patch)
 
 
 def test_dispersion_counts_once(twin, chain):

@@ -55,7 +55,7 @@ def test_sensitivities_say_what_they_approximate(store_path):
     assert run.exit_code == 0
     assert "refined is approximated by strehl" in run.output
     result = json.loads(CliRunner().invoke(app, ["sensitivity", str(store_path), "--json"]).output)
-    assert result["approximated"][0]["dear"] == "refined"
+    assert result["approximated"][0]["high_fidelity"] == "refined"
 
 
 def test_a_study_without_dear_merits_approximates_nothing(small_store):

@@ -109,7 +109,7 @@ def test_no_text_in_csv_is_a_formula(store, tmp_path):
     for name in ("t.csv", "s.csv"):
         with (tmp_path / name).open(newline="") as file:
             for row in csv.DictReader(file):
-                cells += [row["message"], row.get("dear_message") or ""]
+                cells += [row["message"], row.get("high_fidelity_message") or ""]
     assert {"'=1+1", "'+cmd", "'-2", "'@sum", "'\ttab", "plain = text", "'=lost", "'-x"} <= set(cells)
     assert not any(cell.startswith(("=", "+", "-", "@", "\t")) for cell in cells)
 
@@ -178,12 +178,12 @@ def test_a_file_that_was_there_stays_when_an_export_breaks_off(store, tmp_path, 
     "change",
     [
         "UPDATE trial SET strehl = '=HYPERLINK(1)' WHERE trial = 2",
-        "UPDATE dear SET seconds = '=1' WHERE trial = 4",
+        "UPDATE high_fidelity SET seconds = '=1' WHERE trial = 4",
     ],
 )
 def test_text_among_numbers_is_no_export(store, tmp_path, name, change):
     store._connection.execute(change)
-    with pytest.raises(InputError, match=r"damaged: (strehl|dear_seconds) = '=.*': .*number"):
+    with pytest.raises(InputError, match=r"damaged: (strehl|high_fidelity_seconds) = '=.*': .*number"):
         write_trials(store, tmp_path / name)
     assert not (tmp_path / name).exists()
 

@@ -8,11 +8,14 @@ import sys
 
 import numpy as np
 import pytest
+from places import GOLDEN
 
 import tolerancing.store.creation as creation
 import tolerancing.store.file as file
 import tolerancing.store.store as module
 from lensdesign import InputError
+from tolerancing.run.run import run_study
+from tolerancing.store.export import write_trials
 from tolerancing.store.store import create_store, open_store
 from tolerancing.study.files import load_study
 from tolerancing.study.results import HighFidelityResults, Picture, StepResults, TrialResults
@@ -36,6 +39,16 @@ def loaded(write_study, full_study):
 def path(loaded, tmp_path):
     path = tmp_path / "a.store"
     create_store(loaded, path, {"largest_spread_deg": 4.8, "strehl": 1.0}, 40)
+    return path
+
+
+@pytest.fixture
+def earlier(tmp_path):
+    """A store that version 2 of the tables has written: two of four trials have high-fidelity scores."""
+    path = tmp_path / "earlier.store"
+    connection = sqlite3.connect(path)
+    connection.executescript((GOLDEN / "store_version_2.sql").read_text(encoding="utf-8"))
+    connection.close()
     return path
 
 
@@ -263,7 +276,7 @@ def test_stores_of_other_versions_are_refused(path, version):
         connection.execute(f"PRAGMA user_version = {version}")
     connection.close()
     before = path.read_bytes()
-    with pytest.raises(InputError, match=f"version {version}; this toolkit reads version 2"):
+    with pytest.raises(InputError, match=f"version {version}; this toolkit reads versions 2 and 3"):
         open_store(path)
     assert path.read_bytes() == before
 
@@ -323,7 +336,10 @@ ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELEC
     [
         (f"DROP TABLE study; CREATE VIEW study AS {ENDLESS} x FROM c", "'study' is not a table"),
         (f"DROP TABLE trial; CREATE VIEW trial AS {ENDLESS} x AS trial FROM c", "'trial' is not a table"),
-        ("DROP TABLE dear; CREATE VIRTUAL TABLE dear USING fts5(trial)", "'dear' is not a table"),
+        (
+            "DROP TABLE high_fidelity; CREATE VIRTUAL TABLE high_fidelity USING fts5(trial)",
+            "'high_fidelity' is not a table",
+        ),
         (
             "DROP TABLE trial; CREATE TABLE trial (trial INTEGER PRIMARY KEY, a AS (zeroblob(9)) STORED)",
             "'trial' is not a table",
@@ -338,6 +354,33 @@ def test_tables_that_no_run_makes_are_refused_unread(path, change, message):
     connection.close()
     with pytest.raises(InputError, match=rf"a\.store is damaged: {message}"):
         open_store(path)
+
+
+def test_a_store_of_an_earlier_version_is_read_and_continued(earlier, tmp_path):
+    with open_store(earlier) as store:
+        assert store.record().schema_version == 2
+        found = store.high_fidelity()
+        assert (found.trials, found.chosen) == ((1, 3), ("random", "worst"))
+        assert found.scores[:, 0].tolist() == [0.9660247719084877, 0.968106245576222]
+        assert len(store.trials()) == 4
+        assert [store.lacks_high_fidelity(trial) for trial in (0, 1, 3)] == [True, False, False]
+        write_trials(store, tmp_path / "trials.csv")
+        header, *_, last = (tmp_path / "trials.csv").read_text().splitlines()
+        assert dict(zip(header.split(","), last.split(","), strict=True))["chosen"] == "worst"
+        assert "high_fidelity_seconds" in header
+    outcome = run_study(load_stored(earlier, tmp_path), earlier, workers=1, trials=6)
+    assert outcome.trials_run == 2
+    with open_store(earlier) as store:
+        assert len(store.trials()) == 6
+        assert len(store.high_fidelity()) >= 2
+
+
+def load_stored(path, folder):
+    """The study of a store, from the files that it holds."""
+    with open_store(path) as store:
+        for name, content in store.loaded.files.items():
+            (folder / name).write_bytes(content)
+    return load_study(folder / "study.toml")
 
 
 def test_views_of_ones_own_do_no_harm(path):

@@ -75,6 +75,7 @@ def test_settings_that_do_not_go_are_refused_by_name(imaged: Imaged, tmp_path: P
         ({"method": "paper", "source_deg": 0.1}, "source_deg: cannot be used with method paper"),
         ({"source_deg": 90.0}, "source_deg: must be from 0 to below 90"),
         ({"method": "paper", "bandwidth_nm": 4.0}, "bandwidth_nm: cannot be used with method paper"),
+        ({"method": "paper", "hold_out_plane": 1}, "hold_out_plane: cannot be used with method paper"),
         ({"bandwidth_nm": -1.0}, "bandwidth_nm: must be finite and not negative"),
     ):
         with pytest.raises(InputError, match=message):

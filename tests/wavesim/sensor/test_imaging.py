@@ -19,7 +19,7 @@ from wavesim.scene.system_state import SystemState
 from wavesim.sensor.imaging import Imaged, image
 from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.sensor import interference_on_pixels, light_on_pixels
-from wavesim.sensor.windows import light_window
+from wavesim.sensor.windows import footprint_mm, light_window
 from wavesim.targets.patch import lit
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
@@ -191,7 +191,8 @@ def test_a_ghost_is_found_in_what_frames_with_one_record(nominal: Imaged) -> Non
     light = lit(ghosted.patch, ghosted.settings)
     behind = light.with_values(light.values * transmission.values)
     direct, ghost = engine.straight.forward(behind), engine.ghosts[0].forward(behind)
-    window = light_window(LENS, ghosted.patch, ghosted.sensor, LENS.sensor.plane_distances_mm[0])
+    distance_mm = LENS.sensor.plane_distances_mm[0]
+    window = light_window(ghosted.sensor, footprint_mm(LENS, ghosted.patch, distance_mm))
     model, with_it = (light_on_pixels(field, window) for field in (direct, engine.forward(behind)))
     amplitude = np.sqrt(model)
     sigma = np.full(model.shape, 1e-4 * amplitude.max())

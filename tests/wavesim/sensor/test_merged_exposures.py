@@ -21,7 +21,7 @@ from wavesim.sensor.camera_noise import Electronics, SaturationWarning, expose, 
 from wavesim.sensor.frame_sets import planes_of_frames, read_frames, recorded_planes
 from wavesim.sensor.frames import AssumedWarning, Frame, FrameSettings, write_frame
 from wavesim.sensor.merged_exposures import estimate_intensity, fraction_per_intensity, merged_intensity
-from wavesim.sensor.sensor import frames_of_light, light_on_pixels, record, sensor_grid
+from wavesim.sensor.sensor import Camera, light_on_pixels, sensor_grid
 
 CAMERA = Electronics(full_well_electrons=10_000.0, read_noise_electrons=2.0, bits=12)
 BRACKET = (1.0, 30.0, 1000.0)
@@ -152,21 +152,20 @@ def test_recording_several_exposures_is_recording_each_and_long_ones_clip_withou
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         light = light_on_pixels(field, sensor, fill_factor=CAMERA.fill_factor)
-        frames = frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, (1.0, 50.0))
+        frames = Camera(sensor, CAMERA, (1.0, 50.0)).frames(light, 2.0, 0.532, None)
     least = frames[0].settings.exposure
     assert frames[1].settings.exposure == pytest.approx(50.0 * least)
     assert frames[0].saturated.sum() == 0 < frames[1].saturated.sum()
-    alone = record(field, sensor, 2.0, CAMERA, 3)
-    (one,) = frames_of_light(light, sensor, 2.0, 0.532, CAMERA, 3, (1.0,))
-    assert np.array_equal(one.counts, alone.counts)
-    assert one.settings == alone.settings
+    (one,) = Camera(sensor, CAMERA).frames(light, 2.0, 0.532, 3)
+    assert np.array_equal(one.counts, expose(light, least, CAMERA, 3))
     with pytest.warns(SaturationWarning):
-        frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, (1.0,), peak_fill=2.0)
-    for times in ((), (0.0,), (math.inf,)):
-        with pytest.raises(InputError, match="times = "):
-            frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, times)
+        Camera(sensor, CAMERA, peak_fill=2.0).frames(light, 2.0, 0.532, None)
+    for exposures in ((), (0.0,), (math.inf,)):
+        with pytest.raises(InputError, match="exposures = "):
+            Camera(sensor, CAMERA, exposures)
     # In single precision, the light is that of double.
-    single = record(field.with_values(field.values.astype(np.complex64)), sensor, 2.0, CAMERA, None)
+    light = light_on_pixels(field.with_values(field.values.astype(np.complex64)), sensor)
+    (single,) = Camera(sensor, CAMERA).frames(light, 2.0, 0.532, None)
     assert abs(single.counts.astype(int) - frames[0].counts).max() <= 1
 
 

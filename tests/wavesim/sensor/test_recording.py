@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from programs import Command
 
 from lensdesign import load_design, save_design, scaled
 from lensdesign.common import clusters
-from lensdesign.lens.poses import Pose
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.eikonal import executors, tile_store
 from wavesim.fields.field import relative_error
@@ -26,8 +26,9 @@ from wavesim.sensor import recording as image_recording
 from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frames import Frame, read_frame
 from wavesim.sensor.merged_exposures import estimate_intensity
-from wavesim.sensor.recording import PARTS, Recording, drop_parts, image_patch, imaging_bytes
-from wavesim.sensor.windows import OVERSAMPLING, exit_scene, light_window, sensor_window
+from wavesim.sensor.recording import PARTS, Recorder, Recording, drop_parts
+from wavesim.sensor.sensor import Camera
+from wavesim.sensor.windows import OVERSAMPLING, exit_scene, footprint_mm, light_window, sensor_window
 from wavesim.targets.patch import make_illumination, make_target, object_patch
 
 PLANES_MM = (0.0625, 0.6875)
@@ -57,7 +58,7 @@ class Scenery:
         chart = make_target(patch, "usaf", "bright", numerical_aperture=0.5)
         self.behind = light.with_values(light.values * chart.transmission.values)
         self.sensor = sensor_window(self.lens, patch, PLANES_MM, 216)
-        self.windows = [light_window(self.lens, patch, self.sensor, z, Pose()) for z in PLANES_MM]
+        self.windows = tuple(light_window(self.sensor, footprint_mm(self.lens, patch, z)) for z in PLANES_MM)
         self.scene = exit_scene(self.lens, patch, self.windows[0], PLANES_MM[0], oversampling=OVERSAMPLING)
 
     def engine(self, name: str, scene: Scene) -> Engine:
@@ -67,10 +68,16 @@ class Scenery:
             self.engines[place] = engine_for(scene, name, error=0.03, **narrow)
         return self.engines[place]
 
-    def imaged(self, name: str, recording: Recording, **changes: Any) -> tuple[tuple[Frame, ...], float]:
+    def recording(self, planes_mm: tuple[float, ...], seed: int | None, **changes: Any) -> Recording:
+        camera, windows = Camera(self.sensor, CAMERA), self.windows[: len(planes_mm)]
+        return Recording(camera, planes_mm, seed, windows=windows, **changes)
+
+    def recorder(self, name: str, recording: Recording, **changes: Any) -> Recorder:
         make = lambda scene: self.engine(name, scene)  # noqa: E731
-        first, windows = self.engine(name, self.scene), self.windows[: len(recording.plane_distances_mm)]
-        return image_patch(first, self.behind, self.sensor, windows, recording, make, **changes)
+        return Recorder(recording, self.engine(name, self.scene), make, **changes)
+
+    def imaged(self, name: str, recording: Recording, **changes: Any) -> tuple[tuple[Frame, ...], float]:
+        return self.recorder(name, recording, **changes).frames(self.behind)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +90,7 @@ def test_bands_give_the_frames_that_free_space_gives(
 ) -> None:
     monkeypatch.setattr(image_recording, "BAND_ROWS", 100)
     state = SystemState(plane_distance_errors_mm=(0.0, 0.004), plane_shifts_um=((0.0, 0.0), (1.3, -0.7)))
-    recording = Recording(PLANES_MM, CAMERA, None, state=state)
+    recording = scenery.recording(PLANES_MM, None, state=state)
     bands, beyond = scenery.imaged("hierarchical", recording)
     free, expected_beyond = scenery.imaged("eikonal", recording)
     for one, other in zip(bands, free, strict=True):
@@ -95,7 +102,7 @@ def test_bands_give_the_frames_that_free_space_gives(
 def test_a_run_that_was_cut_off_goes_on(
     scenery: Scenery, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recording = Recording(PLANES_MM[:1], CAMERA, 3)
+    recording = scenery.recording(PLANES_MM[:1], 3)
     whole, _ = scenery.imaged("hierarchical", recording)
     carry, carried = executors.propagate_tiles, list[Any]()
 
@@ -161,17 +168,15 @@ def test_the_command_takes_no_more_memory_than_it_may(wavesim: Command, tmp_path
 MEASURE = """
 import sys
 sys.path[:0] = ["tests/support", "tests/wavesim/sensor"]
-from test_recording import CAMERA, PLANES_MM, Scenery
-from wavesim.sensor.recording import Recording, image_patch, imaging_bytes
+from test_recording import PLANES_MM, Scenery
 from pathlib import Path
 import tempfile
 scenery = Scenery()
-recording = Recording(PLANES_MM, CAMERA, 1)
-engine = scenery.engine("hierarchical", scenery.scene)
-need = imaging_bytes(engine, scenery.sensor, scenery.windows, recording)
+recording = scenery.recording(PLANES_MM, 1)
 with tempfile.TemporaryDirectory() as folder:
-    make = lambda scene: scenery.engine("hierarchical", scene)
-    image_patch(engine, scenery.behind, scenery.sensor, scenery.windows, recording, make, folder=Path(folder))
+    recorder = scenery.recorder("hierarchical", recording, folder=Path(folder))
+    need = recorder.memory()
+    recorder.frames(scenery.behind)
 # Not ru_maxrss: that counts the process by which this one was started.
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 print(need.most_bytes, 1024 * int(status["VmHWM"].split()[0]))
@@ -213,10 +218,12 @@ def test_frames_from_a_cluster_are_those_made_here(
 
 
 def test_the_need_grows_with_what_is_recorded(scenery: Scenery) -> None:
-    engine = scenery.engine("hierarchical", scenery.scene)
-    recordings = (Recording(PLANES_MM, CAMERA, exposures=times) for times in ((1.0,), (1.0, 30.0, 1000.0)))
-    needs = [imaging_bytes(engine, scenery.sensor, scenery.windows, one) for one in recordings]
+    recording, needs = scenery.recording(PLANES_MM, 0), []
+    for exposures in ((1.0,), (1.0, 30.0, 1000.0)):
+        camera = replace(recording.camera, exposures=exposures)
+        recorder = scenery.recorder("hierarchical", replace(recording, camera=camera))
+        needs.append(recorder.memory())
     pixels = scenery.sensor.pixels[0] * scenery.sensor.pixels[1]
     assert needs[1].most_bytes - needs[0].most_bytes == 2 * 2 * 2 * pixels
     assert needs[0].least_bytes < needs[0].most_bytes
-    assert needs[0].file_bytes == 2 * engine.sums_bytes  # type: ignore[attr-defined]
+    assert needs[0].file_bytes == 2 * recorder.engine.sums_bytes  # type: ignore[attr-defined]

@@ -20,7 +20,7 @@ from wavesim.sensor.camera_noise import Electronics, SaturationWarning, expose, 
 from wavesim.sensor.frames import Frame, FrameSettings
 from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.pixel_integration import means_over_pixels
-from wavesim.sensor.sensor import FootprintWarning, light_on_pixels, on_sensor, record, sensor_grid
+from wavesim.sensor.sensor import Camera, FootprintWarning, light_on_pixels, on_sensor, sensor_grid
 from wavesim.targets.illumination import plane_wave
 
 PITCH_UM = 3.2
@@ -154,7 +154,8 @@ def test_a_sensor_in_the_dark_is_refused(off_um: float) -> None:
 def test_well_placed_light_is_recorded_without_a_word() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        frame = record(gaussian(sensor_grid(SENSOR, Z_MM, 2)), SENSOR, 3.0, Electronics(), 0)
+        light = light_on_pixels(gaussian(sensor_grid(SENSOR, Z_MM, 2)), SENSOR)
+        (frame,) = Camera(SENSOR, Electronics()).frames(light, 3.0, 0.532, 0)
     assert not np.any(frame.saturated)
 
 
@@ -206,7 +207,8 @@ def test_the_stated_variance_is_that_of_the_error(brightest: float) -> None:
     field = field.with_values(field.values + 0.2)
     electronics = Electronics(read_noise_electrons=3.0)
     truth = light_on_pixels(Field(field.grid, field.values, 0.532), big)
-    frame = record(field, big, 3.0, electronics, 3, peak_fill=brightest / 10_000.0)
+    camera = Camera(big, electronics, peak_fill=brightest / 10_000.0)
+    (frame,) = camera.frames(truth, 3.0, 0.532, 3)
     intensity, variance = estimate_intensity(frame)
     assert not frame.saturated.any()
     squares = (intensity - truth) ** 2 / variance
@@ -216,13 +218,13 @@ def test_the_stated_variance_is_that_of_the_error(brightest: float) -> None:
 
 
 def test_the_brightest_pixel_gets_its_electrons() -> None:
-    field = gaussian(sensor_grid(SENSOR, Z_MM, 2))
+    light = light_on_pixels(gaussian(sensor_grid(SENSOR, Z_MM, 2)), SENSOR)
     electronics = Electronics(full_well_electrons=10_000.0)
-    frame = record(field, SENSOR, 3.0, electronics, None, peak_fill=0.75)
+    (frame,) = Camera(SENSOR, electronics, peak_fill=0.75).frames(light, 3.0, 0.532, None)
     assert estimate_intensity(frame)[0].max() * frame.settings.exposure == pytest.approx(
         7500.0, abs=0.5 * electronics.gain
     )
-    assert frame.settings.exposure == exposure_for(light_on_pixels(field, SENSOR), 7500.0)
+    assert frame.settings.exposure == exposure_for(light, 7500.0)
 
 
 def test_full_well_takes_all_counts_when_no_gain_is_given() -> None:
@@ -278,11 +280,11 @@ def test_seeds_repeat_noise_and_planes_do_not_share_it() -> None:
 
 
 def test_the_frame_says_how_it_was_recorded() -> None:
-    field = gaussian(sensor_grid(SENSOR, Z_MM, 2))
-    frame = record(field, SENSOR, 3.0, Electronics(), 5, exposure=9000.0, stage_error_mm=0.01, title="H1")
-    said = frame.settings
+    light = light_on_pixels(gaussian(sensor_grid(SENSOR, Z_MM, 2)), SENSOR, stage_error_mm=0.01)
+    (frame,) = Camera(SENSOR, Electronics(), (0.5,)).frames(light, 3.0, 0.532, 5)
+    said, exposure = frame.settings, 0.5 * exposure_for(light, 8000.0)
     assert (said.plane_distance_mm, said.wavelength_um, said.pixel_pitch_um) == (3.0, 0.532, PITCH_UM)
-    assert (said.bits, said.offset_counts, said.exposure, said.title) == (12, 64.0, 9000.0, "H1")
+    assert (said.bits, said.offset_counts, said.exposure) == (12, 64.0, exposure)
     assert frame.counts.shape == (40, 48)
 
 
@@ -320,7 +322,7 @@ def test_bad_light_is_refused() -> None:
     with pytest.raises(InputError, match=r"offset_counts = .* 4 bits"):
         expose(uniform(1.0, 2), 1.0, Electronics(bits=4), None)
     with pytest.raises(InputError, match="plane_distance_mm"):
-        record(field, SENSOR, math.nan, Electronics(), None)
+        Camera(SENSOR, Electronics()).frames(light_on_pixels(field, SENSOR), math.nan, 0.532, None)
 
 
 def test_sensor_turns_about_its_own_middle() -> None:

@@ -205,7 +205,7 @@ def test_windows_hold_the_footprint_and_no_more_than_the_sensor() -> None:
     near, far = (footprint_mm(SMALL, patch, z) for z in (1.0, 2.0))
     assert far > near
     assert sensor_window(SMALL, patch, (0.05, 3.0)).pixels[1] == SMALL.sensor.pixels[1]
-    assert min(light_window(SMALL, patch, window, 3.0, Pose()).size_mm) > footprint_mm(SMALL, patch, 3.0)
+    assert min(light_window(window, far_mm := footprint_mm(SMALL, patch, 3.0)).size_mm) > far_mm
     # The disc is about the axis; a lens that is moved also bends the light.
     wider = footprint_mm(SMALL, patch, 0.0625, Pose(decenter_x_mm=0.05)) - footprint_mm(SMALL, patch, 0.0625)
     assert 0.1 < wider < 0.2

@@ -299,18 +299,14 @@ class LineImagingChain:
         """Return the amplitudes that follow from noisy frames of one exposure."""
         from wavesim.sensor import recorded_planes
         from wavesim.sensor.camera_noise import plane_seeds
-        from wavesim.sensor.sensor import frames_of_light
+        from wavesim.sensor.sensor import Camera
 
-        electronics = electronics_for(electrons, bits)
+        camera = Camera(self.lens.sensor, electronics_for(electrons, bits), peak_fill=PEAK_FILL)
         frames: list[Frame] = []
         for (_, amplitude), distance, seed in zip(
             planes, self.planes_mm, plane_seeds(noise, len(planes)), strict=True
         ):
-            light = amplitude[:, None] ** 2
-            sensor, wavelength = self.lens.sensor, self.wavelength_um
-            frames += frames_of_light(
-                light, sensor, distance, wavelength, electronics, seed, (1.0,), PEAK_FILL
-            )
+            frames += camera.frames(amplitude[:, None] ** 2, distance, self.wavelength_um, seed)
         lines = recorded_planes(frames)
         return [
             replace(p, amplitude=p.amplitude[:, 0], sigma=None if p.sigma is None else p.sigma[:, 0])

@@ -11,8 +11,8 @@ from lensdesign.lens.lens import Sensor
 from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.pixels.bad_pixels import find_bad_pixels
-from wavesim.sensor.pixels.non_uniformity import PixelErrors, PixelPattern
-from wavesim.sensor.sensor import frames_of_light
+from wavesim.sensor.pixels.non_uniformity import ALIKE, PixelErrors
+from wavesim.sensor.sensor import Camera
 
 SHAPE = (120, 160)
 
@@ -29,30 +29,28 @@ def light(seed: int) -> np.ndarray:
     return np.asarray(means * np.exp(-((x - 80) ** 2 + (y - 60) ** 2) / 1500.0))
 
 
-def planes(pattern: PixelPattern | None, times: tuple[float, ...], count: int = 2) -> list[tuple[Frame, ...]]:
+def planes(errors: PixelErrors, exposures: tuple[float, ...], count: int = 2) -> list[tuple[Frame, ...]]:
     sensor = Sensor(pixel_pitch_um=3.0, pixels=SHAPE[::-1], plane_distances_mm=(1.0,))
-    return [
-        frames_of_light(light(n), sensor, 1.0 + n, 0.5, Electronics(), n, times, pattern=pattern)
-        for n in range(count)
-    ]
+    camera = Camera(sensor, Electronics(), exposures, pixel_errors=errors)
+    return [camera.frames(light(n), 1.0 + n, 0.5, n) for n in range(count)]
 
 
 def test_nothing_is_found_where_all_is_well() -> None:
-    spread = PixelErrors(prnu=0.01, dsnu_electrons=2.0).pattern(SHAPE, 1e4)
-    for pattern in (None, spread):
+    for errors in (ALIKE, PixelErrors(prnu=0.01, dsnu_electrons=2.0)):
         for times in ((1.0,), (1.0, 30.0)):
-            assert not any(mask.any() for mask in find_bad_pixels(planes(pattern, times)))
-    assert not find_bad_pixels(planes(None, (1.0,), 1))[0].any()
+            assert not any(mask.any() for mask in find_bad_pixels(planes(errors, times)))
+    assert not find_bad_pixels(planes(ALIKE, (1.0,), 1))[0].any()
 
 
 def test_hot_pixels_are_found_and_dead_ones_where_there_is_light() -> None:
-    pattern = PixelErrors(hot_share=2e-3, dead_share=2e-3, seed=3).pattern(SHAPE, 1e4)
+    errors = PixelErrors(hot_share=2e-3, dead_share=2e-3, seed=3)
+    pattern = errors.pattern(SHAPE, 1e4)
     assert pattern is not None
     hot, dead = pattern.dark_electrons > 0.0, pattern.gain == 0.0
     ring = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
     bright = scipy.ndimage.minimum_filter(light(0), footprint=ring) > 0.3 * light(0).max()
     for times in ((1.0,), (1.0, 30.0)):
-        for mask in find_bad_pixels(planes(pattern, times)):
+        for mask in find_bad_pixels(planes(errors, times)):
             assert not np.any(mask & ~(hot | dead))
             assert np.count_nonzero(mask & hot) > 0.7 * np.count_nonzero(hot)
             assert np.all(mask[dead & bright])
@@ -60,5 +58,5 @@ def test_hot_pixels_are_found_and_dead_ones_where_there_is_light() -> None:
 
 def test_where_much_contradicts_it_is_no_matter_of_pixels() -> None:
     """Two pictures in the place of two exposures."""
-    (short, _), (_, long) = planes(None, (1.0, 2.0))
+    (short, _), (_, long) = planes(ALIKE, (1.0, 2.0))
     assert not find_bad_pixels([[short, long]])[0].any()

@@ -16,7 +16,7 @@ from wavesim.sensor.frames import write_frame
 from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.pixels.maps import read_map
 from wavesim.sensor.pixels.non_uniformity import PixelErrors
-from wavesim.sensor.sensor import frames_of_light
+from wavesim.sensor.sensor import Camera
 
 SHAPE = (60, 80)
 SENSOR = Sensor(pixel_pitch_um=3.0, pixels=SHAPE[::-1], plane_distances_mm=(1.0,))
@@ -30,7 +30,8 @@ def lab(tmp_path: Path) -> Path:
     pattern = ERRORS.pattern(SHAPE, 1e4)
     electronics = Electronics(bits=16)
     for number, (intensity, times) in enumerate(((LIGHT, (0.5, 1.0)), (np.ones(SHAPE), (1.0,)))):
-        frames = frames_of_light(intensity, SENSOR, 1.0, 0.5, electronics, None, times, 0.5, pattern=pattern)
+        camera = Camera(SENSOR, electronics, times, 0.5, pixel_errors=ERRORS)
+        frames = camera.frames(intensity, 1.0, 0.5, None)
         for place, frame in enumerate(frames):
             write_frame(frame, tmp_path / f"{('frame', 'flat')[number]}_{place}.tif")
     assert pattern is not None
@@ -75,9 +76,8 @@ def test_a_hot_pixel_is_told_and_left_out(lab: Path) -> None:
 
 
 def test_an_exposure_that_is_not_as_stated_is_told_and_taken_out(tmp_path: Path) -> None:
-    frames = frames_of_light(
-        LIGHT, SENSOR, 1.0, 0.5, Electronics(bits=16), 3, (0.05, 1.0), exposure_errors=(0.0, 0.04)
-    )
+    camera = Camera(SENSOR, Electronics(bits=16), (0.05, 1.0), exposure_errors=(0.0, 0.04))
+    frames = camera.frames(LIGHT, 1.0, 0.5, 3)
     paths = [tmp_path / "short.tif", tmp_path / "long.tif"]
     for path, frame in zip(paths, frames, strict=True):
         write_frame(frame, path)

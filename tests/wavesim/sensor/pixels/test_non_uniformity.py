@@ -12,7 +12,7 @@ from lensdesign.lens.lens import Sensor
 from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.pixels.non_uniformity import ALIKE, PixelErrors
-from wavesim.sensor.sensor import frames_of_light
+from wavesim.sensor.sensor import Camera
 
 SHAPE = (200, 300)
 
@@ -38,9 +38,8 @@ def test_all_frames_show_one_pattern() -> None:
     pattern = errors.pattern(SHAPE, 1e4)
     assert pattern is not None
     sensor = Sensor(pixel_pitch_um=3.0, pixels=SHAPE[::-1], plane_distances_mm=(1.0,))
-    frames = frames_of_light(
-        np.ones(SHAPE), sensor, 1.0, 0.5, Electronics(bits=16), None, (0.5, 1.0), pattern=pattern
-    )
+    camera = Camera(sensor, Electronics(bits=16), (0.5, 1.0), pixel_errors=errors)
+    frames = camera.frames(np.ones(SHAPE), 1.0, 0.5, None)
     short, long = (estimate_intensity(frame)[0] * frame.settings.exposure for frame in frames)
     step = frames[0].settings.gain_electrons_per_count
     np.testing.assert_allclose(long - short, 4000.0 * pattern.gain, atol=2.0 * step)
@@ -49,10 +48,9 @@ def test_all_frames_show_one_pattern() -> None:
 
 def test_longer_exposures_than_stated_are_brighter_by_as_much() -> None:
     sensor = Sensor(pixel_pitch_um=3.0, pixels=SHAPE[::-1], plane_distances_mm=(1.0,))
-    stated = frames_of_light(np.ones(SHAPE), sensor, 1.0, 0.5, Electronics(), None, (0.5, 1.0))
-    true = frames_of_light(
-        np.ones(SHAPE), sensor, 1.0, 0.5, Electronics(), None, (0.5, 1.0), exposure_errors=(0.0, 0.1)
-    )
+    camera = Camera(sensor, Electronics(), (0.5, 1.0))
+    stated = camera.frames(np.ones(SHAPE), 1.0, 0.5, None)
+    true = replace(camera, exposure_errors=(0.0, 0.1)).frames(np.ones(SHAPE), 1.0, 0.5, None)
     ratios = [
         float((estimate_intensity(b)[0] / estimate_intensity(a)[0]).mean())
         for a, b in zip(stated, true, strict=True)
@@ -65,9 +63,8 @@ def test_longer_exposures_than_stated_are_brighter_by_as_much() -> None:
 def test_stating_the_nonlinearity_gives_the_light(nonlinearity: float) -> None:
     sensor = Sensor(pixel_pitch_um=3.0, pixels=SHAPE[::-1], plane_distances_mm=(1.0,))
     light = np.tile(np.linspace(0.0, 1.0, SHAPE[1]), (SHAPE[0], 1))
-    electronics = Electronics(bits=16)
-    pattern = PixelErrors(nonlinearity=nonlinearity).pattern(SHAPE, electronics.full_well_electrons)
-    (frame,) = frames_of_light(light, sensor, 1.0, 0.5, electronics, None, (1.0,), pattern=pattern)
+    camera = Camera(sensor, Electronics(bits=16), pixel_errors=PixelErrors(nonlinearity=nonlinearity))
+    (frame,) = camera.frames(light, 1.0, 0.5, None)
     recorded = estimate_intensity(frame)[0]
     # The brightest pixel fills 80 % of the full well.
     assert recorded[0, -1] == pytest.approx(1.0 - 0.8 * nonlinearity, abs=0.01)
