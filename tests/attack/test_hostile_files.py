@@ -403,7 +403,7 @@ def test_formulas_in_cells(text: str, cell: str) -> None:
 
 
 def test_formulas_in_the_tables_of_a_comparison(tmp_path: Path) -> None:
-    from wavesim.cli.result_files import write_csv
+    from wavesim.runtime.result_files import write_csv
 
     write_csv(
         [{"scene": "=HYPERLINK(1)", "error": -0.5}, {"scene": "fine", "error": 1.0}], tmp_path / "a.csv"

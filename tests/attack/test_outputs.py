@@ -18,7 +18,7 @@ from lensdesign.common.atomic_files import UNFINISHED, atomic_path, new_mark
 from lensdesign.common.outputs import check_output_file, check_output_folder
 from tolerancing.cli.commands import main as tolerancing_main
 from wavesim.cli.commands import main as wavesim_main
-from wavesim.cli.result_files import new_results
+from wavesim.runtime.result_files import new_results
 
 PAPER, STUDY = str(DESIGNS / "paper_singlet.toml"), str(DESIGNS / "paper_tolerances.toml")
 SPEC = str(DESIGNS / "thinnest_singlet_spec.toml")
@@ -196,7 +196,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from lensdesign.common.atomic_files import atomic_path
-from wavesim.cli.result_files import new_results
+from wavesim.runtime.result_files import new_results
 with new_results(Path(sys.argv[1])) as folder, atomic_path(Path(sys.argv[1]) / "kept.npz") as temporary:
     (folder / "a.txt").write_text("half")
     temporary.write_text("half")

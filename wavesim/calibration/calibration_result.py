@@ -16,7 +16,6 @@ from pydantic import Field
 from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import Finite, FrozenModel
 from lensdesign.common.input_files import read_json
-from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -32,13 +31,14 @@ from wavesim.reconstruction.calibrated_bench import (
     read_judged_object,
 )
 from wavesim.reconstruction.field_stop import FieldStop
+from wavesim.runtime.result import Result
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.state_files import STATE, state_of_file, state_table
 from wavesim.scene.system_state import SystemState
 
 
-@dataclass(frozen=True, eq=False)
-class Calibrated:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibrated(Result):
     """A calibrated bench, and the quality of the calibration.
 
     :func:`wavesim.calibrate_frames` returns it. The n parameters are numbers in the unit that their names
@@ -112,6 +112,8 @@ class Calibrated:
     >>> round(found.state.pose.decenter_x_mm, 3), found.misfit < found.misfit_before
     (0.005, True)
     """
+
+    heading = "Bench as it is"
 
     state: SystemState
     sought: tuple[Parameter, ...]
@@ -230,7 +232,7 @@ class Calibrated:
         """True if the frames are explained, from the verdict; None without a verdict."""
         return None if self.verdict is None else self.verdict.explained
 
-    def table(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """Return all results as plain values for JSON; :func:`read_calibration` reads them."""
         deviations = self.deviations or (None,) * len(self.parameters)
         is_unknown = self.deviations is None and self.typical is not None  # they were not requested
@@ -268,12 +270,6 @@ class Calibrated:
             if self.object_uncertainty is None
             else self.object_uncertainty.summary.as_dict(),
         }
-
-    def __repr__(self) -> str:
-        return f"Calibrated({', '.join(f'{name} {value}' for name, value in self._rows())})"
-
-    def _repr_html_(self) -> str:
-        return html_table("Bench as it is", self._rows())
 
     def _rows(self) -> list[tuple[str, str]]:
         noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"

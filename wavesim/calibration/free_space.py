@@ -18,7 +18,6 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from wavesim.engines.no_lens import FreeSpace
@@ -26,6 +25,7 @@ from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.channel_model import ChannelModel
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
+from wavesim.runtime.result import Result
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
 from wavesim.sensor.frames import Frame
@@ -180,8 +180,8 @@ class Stack:
         return _upsampled(values[self.window], self.binning)
 
 
-@dataclass(frozen=True, eq=False)
-class FreeSpaceField:
+@dataclass(frozen=True, eq=False, repr=False)
+class FreeSpaceField(Result):
     """The field on z = 0 behind a stack of frames, and the bench with which it was found.
 
     Attributes
@@ -212,6 +212,8 @@ class FreeSpaceField:
     seeks_distances : bool
         Whether distances were calibrated, too. Otherwise they are the stated ones.
     """
+
+    heading = "Field behind frames in free space"
 
     field: Field
     state: SystemState
@@ -268,11 +270,8 @@ class FreeSpaceField:
             ],
         }
 
-    def __repr__(self) -> str:
-        return f"FreeSpaceField({', '.join(f'{name} {value}' for name, value in self._rows())})"
-
-    def _repr_html_(self) -> str:
-        return html_table("Field behind frames in free space", self._rows(), html_picture(self.field.values))
+    def _picture(self) -> NDArray[Any]:
+        return self.field.values
 
     def _rows(self) -> list[tuple[str, str]]:
         rows, columns = self.field.grid.shape

@@ -30,7 +30,6 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled
@@ -43,6 +42,7 @@ from wavesim.reconstruction.growing_aperture import with_growing_aperture
 from wavesim.reconstruction.information import Information, WhitenedJacobian, information_of
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.reconstruction.oversampling import measured_oversampling
+from wavesim.runtime.result import Result
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
@@ -246,8 +246,8 @@ class Plan:
         return math.sqrt(max(1.0 - self.correlation**2, 0.0))
 
 
-@dataclass(frozen=True)
-class Plans:
+@dataclass(frozen=True, repr=False)
+class Plans(Result):
     """Comparison of plans.
 
     Attributes
@@ -272,6 +272,8 @@ class Plans:
     example_twin : Twin or None
         Twin that was simulated for the described object; None without a description.
     """
+
+    heading = "Frames to take"
 
     settings: PlanSettings
     twin: Twin
@@ -358,12 +360,6 @@ class Plans:
         """
         reaching = [plan for plan in self.plans if plan.expected >= self.settings.correlation]
         return reaching[0] if reaching else max(self.plans, key=lambda plan: plan.expected)
-
-    def __repr__(self) -> str:
-        return f"Plans({', '.join(f'{name} {value}' for name, value in self._rows())})"
-
-    def _repr_html_(self) -> str:
-        return html_table("Frames to take", self._rows())
 
     def _rows(self) -> list[tuple[str, str]]:
         best = self.recommended

@@ -76,9 +76,9 @@ def calibrate(
     Example: wavesim calibrate frames/*.tif --design lens.toml -o bench
     """
     from wavesim.calibration.frame_calibration import calibrate_frames
-    from wavesim.cli.result_files import remove_unfinished
     from wavesim.metrics.next_steps import ADVICE
     from wavesim.runtime.checkpoint import SEARCH_CHECKPOINTS
+    from wavesim.runtime.result_files import remove_unfinished
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
@@ -144,16 +144,16 @@ def write_calibration(
     found: Calibrated, paths: Sequence[Path], frames: Sequence[Frame], extra: dict[str, Any], output: Path
 ) -> dict[str, Any]:
     """Write the table and the figure of a calibration, and the object of its verdict; return the table."""
-    from wavesim.cli.result_files import new_results, write_json
     from wavesim.plots.calibrations import calibration_figure
     from wavesim.plots.frames import save
     from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT
+    from wavesim.runtime.result_files import new_results, write_json
     from wavesim.sensor.frame_sets import planes_of_frames
 
     summary = {
         "frames": [str(path) for path in paths],
         "planes_mm": [plane.distance_mm for plane in planes_of_frames(frames)],
-        **found.table(),
+        **found.as_dict(),
         **extra,
         "versions": versions(),
     }

@@ -62,8 +62,8 @@ def colours(
 
     Example: wavesim colours lens.toml frames --patch-mm 0.1 -o object
     """
-    from wavesim.cli.result_files import remove_unfinished
     from wavesim.reconstruction.colours import reconstruct_colours
+    from wavesim.runtime.result_files import remove_unfinished
     from wavesim.sensor.frame_sets import read_colour_frames
 
     remove_unfinished(output)
@@ -87,10 +87,10 @@ def colours(
 
 def _write(found: FoundColours, summary: dict[str, Any], output: Path) -> list[str]:
     """Write all files together, and return their names."""
-    from wavesim.cli.result_files import new_results, write_csv, write_json
     from wavesim.fields.files import write_arrays, write_field
     from wavesim.plots.colours import colours_figure, heights_figure
     from wavesim.plots.frames import save
+    from wavesim.runtime.result_files import new_results, write_csv, write_json
 
     inside = found.patch.inside
     title = f"{summary['design']}\n{summary['kind']} object, {found.patch.stop_words}"

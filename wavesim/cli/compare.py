@@ -68,11 +68,11 @@ def compare(
 
     from lensdesign.lens.scaling import scaled
     from wavesim.analytic.registry import analytic_case
-    from wavesim.cli.result_files import write_csv
     from wavesim.metrics.comparison import compare as measure
     from wavesim.metrics.comparison import lens_case, variants
     from wavesim.plots.comparisons import comparison_figure
     from wavesim.plots.frames import save
+    from wavesim.runtime.result_files import write_csv
 
     lens = scaled(load_design(design), scale)
     validate_lengths(lens, {"patch_mm": patch_mm, "field_mm": field_mm})
@@ -145,10 +145,10 @@ def _on_planes(lens: Any, name: str) -> dict[str, Any]:
 
 def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
     from lensdesign.lens.scaling import scaled
-    from wavesim.cli.result_files import write_csv
     from wavesim.metrics.failures import failure_maps, map_rows
     from wavesim.plots.comparisons import failure_figure
     from wavesim.plots.frames import save
+    from wavesim.runtime.result_files import write_csv
 
     twin = scaled(lens, MAP_SEMI_DIAMETER_MM / lens.stop_semi_diameter_mm)
     bar.update(task, total=None, description="failure maps")

@@ -77,11 +77,11 @@ def _write(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> list
     """Write all files together, and return their names."""
     import numpy as np
 
-    from wavesim.cli.result_files import new_results, write_csv, write_json
     from wavesim.fields.files import write_arrays, write_field
     from wavesim.plots.frames import save
     from wavesim.plots.objects import object_figure
     from wavesim.plots.pyramid import write_pyramid
+    from wavesim.runtime.result_files import new_results, write_csv, write_json
 
     pitch_um = 1e3 * found.field.grid.pitch_mm
     with new_results(output) as folder:

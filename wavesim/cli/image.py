@@ -86,7 +86,7 @@ def image(
 
     Example: wavesim image lens.toml --object usaf --patch-mm 0.1 -o frames
     """
-    from wavesim.cli.result_files import remove_unfinished
+    from wavesim.runtime.result_files import remove_unfinished
 
     remove_unfinished(output)
     lens = load_design(design)
@@ -272,11 +272,11 @@ def _names(recording: Recording) -> list[tuple[str, float]]:
 
 def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
     """Return the names of the written files."""
-    from wavesim.cli.result_files import new_results, write_json
     from wavesim.fields.files import write_field
     from wavesim.plots.frames import frames_figure, save
     from wavesim.plots.objects import layers_figure, object_figure
     from wavesim.plots.pyramid import write_pyramid
+    from wavesim.runtime.result_files import new_results, write_json
     from wavesim.sensor.frames import write_frame
     from wavesim.targets.patch import object_file
 

@@ -83,11 +83,11 @@ def in_layers(
 
 def _write(found: FoundLayers, summary: dict[str, Any], output: Path) -> list[str]:
     """Write all files together, and return their names."""
-    from wavesim.cli.result_files import new_results, write_csv, write_json
     from wavesim.fields.files import write_field
     from wavesim.plots.frames import residual_figure, save
     from wavesim.plots.objects import layers_figure
     from wavesim.plots.pyramid import write_pyramid
+    from wavesim.runtime.result_files import new_results, write_csv, write_json
     from wavesim.targets.patch import layer_file
 
     pitch_um = 1e3 * found.patch.grid.pitch_mm

@@ -106,11 +106,11 @@ def reconstruct(
     Example: wavesim reconstruct frames/*.tif --design lens.toml -o object
     """
     from wavesim.calibration.calibration_result import read_bench
-    from wavesim.cli.result_files import remove_unfinished
     from wavesim.metrics.goodness_of_fit import Finding, with_finding
     from wavesim.metrics.next_steps import STOP_CAUSE
     from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, SEARCH_CHECKPOINTS, STOP_TRIALS
+    from wavesim.runtime.result_files import remove_unfinished
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
@@ -301,9 +301,9 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     """Write all files together, and return their names."""
     import numpy as np
 
-    from wavesim.cli.result_files import new_results, write_csv, write_json
     from wavesim.plots.frames import curves_figure, residual_figure, save
     from wavesim.plots.objects import object_figure
+    from wavesim.runtime.result_files import new_results, write_csv, write_json
 
     transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
     distances = [plane.distance_mm for plane in found.planes]
@@ -343,7 +343,7 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
 
 def _write_summary(summary: dict[str, Any], output: Path) -> None:
     """Write the summary again, with the verdict."""
-    from wavesim.cli.result_files import new_results, write_json
+    from wavesim.runtime.result_files import new_results, write_json
 
     names = [Path(path).name for path in summary["files"]]
     with new_results(output) as folder:

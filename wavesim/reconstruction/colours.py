@@ -29,7 +29,6 @@ from scipy.ndimage import gaussian_filter
 
 from lensdesign.analysis.oversampling import ObjectKind, Oversampling, oversampling_of, real_unknowns
 from lensdesign.common.arrays import Array
-from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Field
@@ -61,6 +60,7 @@ from wavesim.reconstruction.resumable import state_of, state_saver
 from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.checkpoint import CheckpointSeries
+from wavesim.runtime.result import Result
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import ColourSettings, Kind, SettingError
@@ -101,8 +101,8 @@ class ColourPlane(NamedTuple):
     is_mosaic: bool
 
 
-@dataclass(frozen=True, eq=False)
-class FoundColours:
+@dataclass(frozen=True, eq=False, repr=False)
+class FoundColours(Result):
     """An object at several wavelengths, found from frames, with its assessment.
 
     Attributes
@@ -150,6 +150,8 @@ class FoundColours:
     >>> found.wavelengths_um, len(found.transmissions), found.planes[0].is_mosaic
     ((0.532, 0.635), 2, False)
     """
+
+    heading = "Object at several wavelengths"
 
     settings: ColourSettings
     patch: Patch
@@ -236,12 +238,6 @@ class FoundColours:
     def _region(self, region_mm: tuple[float, float, float, float]) -> NDArray[np.bool_]:
         """Return the samples of a region."""
         return _samples_of(self.patch, region_mm, "region_mm")
-
-    def __repr__(self) -> str:
-        return f"FoundColours({', '.join(f'{name} {value}' for name, value in self._rows())})"
-
-    def _repr_html_(self) -> str:
-        return html_table("Object at several wavelengths", self._rows())
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.analysis.oversampling import Oversampling
-from lensdesign.common.notebook import html_picture, html_table
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
 from wavesim.metrics.result_quality import chart_metrics, plane_metrics
 from wavesim.reconstruction.oversampling import measured_oversampling
 from wavesim.runtime.memory import Memory
+from wavesim.runtime.result import Result
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import diffraction_limit_um
 from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings
@@ -35,8 +35,8 @@ class Focus(NamedTuple):
     svfg: Array
 
 
-@dataclass(frozen=True, eq=False)
-class FoundObject:
+@dataclass(frozen=True, eq=False, repr=False)
+class FoundObject(Result):
     """The object found from frames, and the quality of the result.
 
     :func:`wavesim.reconstruct_frames` returns it.
@@ -96,6 +96,8 @@ class FoundObject:
     >>> found.residual_maps[0].shape == taken.frames[0].counts.shape
     True
     """
+
+    heading = "Object behind frames"
 
     settings: ReconstructionSettings
     patch: Patch
@@ -197,11 +199,8 @@ class FoundObject:
         others_by_point = zip(self.settings.chart_at_mm, others, strict=True)
         return middle | {"beside": [{"at_mm": list(point)} | metrics for point, metrics in others_by_point]}
 
-    def __repr__(self) -> str:
-        return f"FoundObject({', '.join(f'{name} {value}' for name, value in self._rows())})"
-
-    def _repr_html_(self) -> str:
-        return html_table("Object behind frames", self._rows(), html_picture(self.transmission.values))
+    def _picture(self) -> NDArray[Any]:
+        return self.transmission.values
 
     def _rows(self) -> list[tuple[str, str]]:
         settings, (rows, columns) = self.settings, self.transmission.grid.shape

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.analysis.oversampling import UNKNOWNS_OF_KIND, Oversampling, oversampling_of
-from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Field
@@ -37,6 +36,7 @@ from wavesim.reconstruction.problem import (
 )
 from wavesim.runtime.checkpoint import CheckpointSeries, key_of
 from wavesim.runtime.memory import Memory
+from wavesim.runtime.result import Result
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.system_state import SystemState, state_of
@@ -74,8 +74,8 @@ UNUSED_SETTINGS = (
 """Settings that layers cannot use."""
 
 
-@dataclass(frozen=True, eq=False)
-class FoundLayers:
+@dataclass(frozen=True, eq=False, repr=False)
+class FoundLayers(Result):
     """The layers found from frames, and the quality of the result.
 
     :func:`wavesim.reconstruct_layers` returns it.
@@ -131,6 +131,8 @@ class FoundLayers:
     (2, 2, 2)
     """
 
+    heading = "Layers behind frames"
+
     settings: ReconstructionSettings
     layers_um: tuple[float, ...]
     patch: Patch
@@ -179,12 +181,6 @@ class FoundLayers:
             "object_pitch_um": 1e3 * self.patch.grid.pitch_mm,
             "samples": self.patch.grid.shape[0],
         }
-
-    def __repr__(self) -> str:
-        return f"FoundLayers({', '.join(f'{name} {value}' for name, value in self._rows())})"
-
-    def _repr_html_(self) -> str:
-        return html_table("Layers behind frames", self._rows())
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [

@@ -32,7 +32,6 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
 from wavesim.forward.channel_model import ChannelModel, Step
@@ -41,6 +40,7 @@ from wavesim.forward.step_noise import noise_of_step
 from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop, stop_reason
 from wavesim.reconstruction.total_variation import prox_tv
+from wavesim.runtime.result import Result
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Grids, Operator
 from wavesim.scene.settings import Kind
@@ -69,8 +69,8 @@ They are used while the misfit is far from that of noise. Nearer to the noise th
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Reconstructed:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reconstructed(Result):
     """A reconstructed object.
 
     Attributes
@@ -93,6 +93,8 @@ class Reconstructed:
         Factor of an automatic weight of the total variation.
     """
 
+    heading = "Reconstructed object"
+
     transmission: Field
     misfit: tuple[float, ...]
     residual_maps: tuple[NDArray[np.floating[Any]], ...]
@@ -100,12 +102,8 @@ class Reconstructed:
     stopped_because: Stop
     tv_factor: float = 1.0
 
-    def __repr__(self) -> str:
-        return f"Reconstructed({', '.join(f'{name} {value}' for name, value in self._rows())})"
-
-    def _repr_html_(self) -> str:
-        picture = html_picture(np.atleast_2d(self.transmission.values))
-        return html_table("Reconstructed object", self._rows(), picture)
+    def _picture(self) -> NDArray[Any]:
+        return np.atleast_2d(self.transmission.values)
 
     def _rows(self) -> list[tuple[str, str]]:
         grid, why = self.transmission.grid, STOPPED[self.stopped_because]

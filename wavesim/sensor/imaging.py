@@ -12,7 +12,6 @@ from typing import Any
 from lensdesign.analysis.roughness import RoughnessReport, RoughnessWarning
 from lensdesign.common.arrays import Array
 from lensdesign.common.given import FilePath, object_of
-from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
@@ -23,6 +22,7 @@ from wavesim.engines.eikonal.on_cluster import tiles_in
 from wavesim.engines.with_ghost import WithGhost
 from wavesim.fields.field import Field
 from wavesim.runtime.memory import Memory, memory_limit
+from wavesim.runtime.result import Result
 from wavesim.runtime.scratch import scratch_in
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
@@ -59,8 +59,8 @@ from wavesim.targets.layers import layer_stack
 from wavesim.targets.patch import MAKERS, Patch, Target, lit, lit_patch, make_target, transmission_of
 
 
-@dataclass(frozen=True, eq=False)
-class Imaged:
+@dataclass(frozen=True, eq=False, repr=False)
+class Imaged(Result):
     """Simulated frames of an object, with the settings and models that produced them.
 
     :func:`wavesim.image` returns it.
@@ -108,6 +108,8 @@ class Imaged:
     True
     """
 
+    heading = "Frames of an object"
+
     settings: ImageSettings
     patch: Patch
     target: Target
@@ -126,12 +128,6 @@ class Imaged:
     def sensor(self) -> Sensor:
         """Sensor window that records."""
         return self.recording.sensor
-
-    def __repr__(self) -> str:
-        return f"Imaged({', '.join(f'{name} {value}' for name, value in self._rows())})"
-
-    def _repr_html_(self) -> str:
-        return html_table("Frames of an object", self._rows())
 
     def _rows(self) -> list[tuple[str, str]]:
         across, down = self.sensor.pixels

@@ -31,9 +31,9 @@ def test_a_stop_found_on_the_nominal_bench_is_undetermined_where_the_bench_is_an
     found = calibrated({"light_tilt_x_deg": 0.0, name: 0.1})
     assert name in found.stop_warning
     assert "light_tilt_x_deg" not in found.stop_warning
-    assert "field_stop_x_mm" in found.table()["undetermined"]
+    assert "field_stop_x_mm" in found.as_dict()["undetermined"]
     path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(found.table()))
+    path.write_text(json.dumps(found.as_dict()))
     assert field_stop_of(path) == (0.02, (0.0, 0.0), found.stop_warning)
 
 
@@ -47,7 +47,7 @@ def test_a_stop_found_on_the_nominal_bench_is_undetermined_where_the_bench_is_an
 )
 def test_a_stated_stop_and_a_nominal_bench_leave_no_doubt(found: Calibrated) -> None:
     assert not found.stop_warning
-    assert not found.table()["undetermined"]
+    assert not found.as_dict()["undetermined"]
 
 
 @pytest.mark.parametrize(("deviation_mm", "warns"), [(2e-4, False), (2e-3, True)])
@@ -58,7 +58,7 @@ def test_a_stop_that_was_sought_is_as_certain_as_its_deviation(deviation_mm: flo
         deviations=(0.001, 1e-4, deviation_mm),
     )
     assert ("2 µm" in found.stop_warning) is warns
-    assert bool(found.table()["undetermined"]) is warns
+    assert bool(found.as_dict()["undetermined"]) is warns
 
 
 def test_what_a_bench_leaves_of_the_object_is_read_from_its_file(tmp_path: Path) -> None:

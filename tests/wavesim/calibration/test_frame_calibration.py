@@ -101,7 +101,7 @@ def test_their_light_holds_while_the_rest_is_sought(
     assert [name for name in found.parameters if name.startswith("light")] == list(measured.parameters)
     assert by_name["plane_2_background"] < 5e-3
     path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(found.table()))
+    path.write_text(json.dumps(found.as_dict()))
     light = read_calibration(path, lens).light
     assert light == found.state.light
     assert light.tilt_deg == pytest.approx((0.5, -0.3), rel=0.05)
@@ -270,7 +270,7 @@ def test_a_bench_as_designed_stays_so_and_its_verdict_is_that_of_the_reconstruct
     errors = normalized_errors(np.array(found.values), found.covariance, np.array(found.typical))
     assert 0.5 < np.sqrt(np.mean(errors**2)) < 1.6
     path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(found.table()))
+    path.write_text(json.dumps(found.as_dict()))
     bench = read_calibration(path, lens)
     judge_quickly(monkeypatch)  # the score test and causes are not compared
     again = reconstruct_frames(lens, frames, kind=kind, calibration=bench, **tiles)
@@ -300,7 +300,7 @@ def test_bench_and_bandwidth_are_found_in_turn() -> None:
     assert found.state.source.bandwidth_nm == pytest.approx(30.0, rel=0.1)
     assert found.state.pose.decenter_x_mm == pytest.approx(0.004, abs=5e-4)
     assert 0.0 < found.source_deviations["bandwidth_nm"] < 3.0
-    assert found.table()["state"]["source"] == {"bandwidth_nm": found.state.source.bandwidth_nm}
+    assert found.as_dict()["state"]["source"] == {"bandwidth_nm": found.state.source.bandwidth_nm}
     settings = {"kind": "amplitude", "iterations": 3, **patch}
     again = reconstruct_frames(lens, taken.frames, calibration=found.state, **settings)
     assert again.of_method["bandwidth_nm"] == found.state.source.bandwidth_nm

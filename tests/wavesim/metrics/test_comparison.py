@@ -13,7 +13,6 @@ import pytest
 from lensdesign import load_design, save_design, scaled
 from wavesim.analytic.registry import analytic_case
 from wavesim.cli.commands import main
-from wavesim.cli.result_files import write_csv
 from wavesim.engines.registry import ENGINES
 from wavesim.fields.field import Grid
 from wavesim.fields.sampling_checks import SamplingWarning
@@ -39,6 +38,7 @@ from wavesim.metrics.failures import (
     tile_map,
 )
 from wavesim.plots.comparisons import comparison_figure, failure_figure
+from wavesim.runtime.result_files import write_csv
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.scene import Scene
 
