@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from wavesim.calibration.joint.pixels import (
     pixel_spacing,
     sparse_pixels,
 )
-from wavesim.calibration.joint.search import JointSearch, SearchState
+from wavesim.calibration.joint.search import JointSearch, SearchState, StagePoint, StoredFit
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
     Nonlinearity,
@@ -70,10 +69,6 @@ IGNORED_SETTINGS = {
     "deviations",
 }
 """Settings that do not affect a search, or that affect it only through the light or its source."""
-
-
-class ContinuedWarning(UserWarning):
-    """A search has continued from a checkpoint, which holds the bench but not all that led to it."""
 
 
 class CalibrationProblem:
@@ -194,15 +189,6 @@ class CalibrationProblem:
         return with_priors(chosen, self.priors, parameters_by_name(self.lens))
 
 
-def _key_text(parameters: Sequence[Parameter]) -> str:
-    """Return the text of parameters in keys of stored searches, as earlier versions wrote it."""
-    texts = (
-        f"Parameter(name={p.name!r}, part={p.group!r}, typical={p.typical!r}, usual={p.usual!r})"
-        for p in parameters
-    )
-    return f"({', '.join(texts)}{',' if len(parameters) == 1 else ''})"
-
-
 def search_bench(
     problem: CalibrationProblem,
     parameters: tuple[Parameter, ...],
@@ -240,11 +226,6 @@ def search_bench(
         If the derivatives of all pixels need more memory than is available.
     KeyboardInterrupt
         If the search is interrupted; the message says what was saved.
-
-    Warns
-    -----
-    ContinuedWarning
-        If the search continues from a checkpoint.
     """
     settings, light = problem.settings, problem.framed.light
     if absorbed is None:
@@ -252,7 +233,7 @@ def search_bench(
     _check_memory(len(parameters), len(modes_on(light, start.fixed.source)), problem, known is None)
     settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
     values = {parameter.name: value for parameter, value in start.values.items()}
-    search_text = f"({values!r}, {_key_text(parameters)})"
+    search_text = f"({values!r}, {[(p.name, p.group, p.typical, p.usual) for p in parameters]!r})"
     if start.fixed.source != POINT:
         search_text += repr(start.fixed.source)
     key = key_of_frames(problem.lens, problem.framed.frames, light, settings_json, search_text)
@@ -364,28 +345,50 @@ class _SearchRecord:
         if saved is None:
             return SearchState(self._start)
         self.saved = len(saved["misfits"])
-        warnings.warn(
-            f"the search has continued from the checkpoint after {self.saved} mountings: the object and the "
-            "tiles of the engine were computed again on its bench, so that the result can differ in "
-            "the last digits from that of a run without an interrupt; for equal digits, repeat the run "
-            "without an interrupt",
-            ContinuedWarning,
-            stacklevel=4,
-        )
         rows = zip(saved["values"].tolist(), saved["misfits"].tolist(), strict=True)
         trail = tuple((self._start.changed(self._parameters, values), misfit) for values, misfit in rows)
-        current = self._start.changed(self._parameters, saved["here"].tolist())
-        numbers = int(saved["stage"]), float(saved["stretch"])
-        scale = float(saved.get("scale_without_limit", 0.0))
-        return SearchState(current, *numbers, trail, int(saved.get("iterations", 0)), scale)
+        current, slopes = (self._fit(saved, name) for name in ("current", "slopes"))
+        point = StagePoint(
+            self._start.changed(self._parameters, saved["reference"].tolist()),
+            current,
+            slopes,
+            tuple(saved["sought"].tolist()),
+            bool(saved["is_repeated"]),
+        )
+        return SearchState(
+            current.unknowns,
+            int(saved["stage"]),
+            float(saved["stretch"]),
+            trail,
+            int(saved["iterations"]),
+            float(saved["scale_without_limit"]),
+            point,
+        )
+
+    def _fit(self, saved: Mapping[str, Any], name: str) -> StoredFit:
+        """Return the current bench with its object, or that of the derivatives."""
+        return StoredFit(
+            self._start.changed(self._parameters, saved[f"{name}_values"].tolist()),
+            saved[f"{name}_transmission"],
+            tuple(saved[f"{name}_curve"].tolist()),
+            float(saved[f"{name}_upper_bound"]),
+            float(saved[f"{name}_scale"]),
+        )
 
     def save(self, state: SearchState) -> None:
         """Save the state after a step."""
         self.saved = len(state.trail)
-        if self._checkpoint is None:
+        if self._checkpoint is None or state.point is None:
             return
+        point, fits = state.point, dict[str, Any]()
+        for name, fit in (("current", point.current), ("slopes", point.slopes)):
+            fits |= {f"{name}_values": fit.unknowns.of(self._parameters)}
+            fits |= {f"{name}_{part}": value for part, value in fit._asdict().items() if part != "unknowns"}
         self._checkpoint.keep(
-            here=state.unknowns.of(self._parameters),
+            reference=point.reference.of(self._parameters),
+            sought=point.sought,
+            is_repeated=point.is_repeated,
+            **fits,
             values=[unknowns.of(self._parameters) for unknowns, _ in state.trail],
             misfits=[misfit for _, misfit in state.trail],
             stage=state.stage,

@@ -148,8 +148,6 @@ def test_an_interrupted_search_goes_on(
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*FILES, JUDGED_OBJECT])
     found = json.loads((tmp_path / "calibration.json").read_text())
     assert found["mountings_tried"] > began[1]
-    assert any("continued from the checkpoint" in text for text in found["warnings"])
-    assert "continued from the checkpoint" in " ".join(err.split())
     assert set(found["deviations"]) == {"decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg"}
 
 

@@ -112,9 +112,53 @@ NEAR_NOISE = 1.5
 """Misfit over that of noise below which it is near the noise."""
 
 
+class StoredFit(NamedTuple):
+    """A bench with its object, as a checkpoint holds it.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+        The bench.
+    transmission : ndarray
+        Transmission of the object.
+    curve : tuple of float
+        Misfit of each iteration.
+    upper_bound, scale : float
+        Limit of the object's amplitude, and measured amplitude per unit of the modelled amplitude.
+    """
+
+    unknowns: Unknowns
+    transmission: NDArray[Any]
+    curve: tuple[float, ...]
+    upper_bound: float
+    scale: float
+
+
+class StagePoint(NamedTuple):
+    """Point of a stage, between two steps.
+
+    Attributes
+    ----------
+    reference : Unknowns
+        Bench of the tiles that the stage perturbs.
+    current, slopes : StoredFit
+        Current bench, and the one where the derivatives were computed.
+    sought : tuple of str
+        Names of the parameters that the stage seeks.
+    is_repeated : bool
+        Whether the last stage is repeated about tiles of its own, because perturbed tiles have misled it.
+    """
+
+    reference: Unknowns
+    current: StoredFit
+    slopes: StoredFit
+    sought: tuple[str, ...]
+    is_repeated: bool
+
+
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """State of a search: all that is needed to resume it.
+    """State of a search: all that is needed to resume it, and to find the same bits.
 
     Attributes
     ----------
@@ -130,6 +174,8 @@ class SearchState:
         Iterations of each reconstruction; 0: as many as the search began with.
     scale_without_limit : float
         Scale of an amplitude object that has no limit, because that of 1 would clip it; 0: it has the limit.
+    point : StagePoint or None
+        Where the stage continues; None: it begins at the current bench.
     """
 
     unknowns: Unknowns
@@ -138,6 +184,7 @@ class SearchState:
     trail: tuple[tuple[Unknowns, float], ...] = ()
     iterations: int = 0
     scale_without_limit: float = 0.0
+    point: StagePoint | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,12 +247,23 @@ class _BenchFit(NamedTuple):
     def engine(self) -> Operator:
         return self.linear.model.engine
 
+    @property
+    def stored(self) -> StoredFit:
+        """The bench as a checkpoint holds it."""
+        scale = self.linear.model.scale
+        return StoredFit(self.unknowns, self.transmission, self.curve, self.upper_bound, scale)
+
 
 class _ReferenceTiles(NamedTuple):
-    """Tiles of a similar bench, and the derivatives of their rays."""
+    """A bench with tiles of its own, which similar benches perturb, and the derivatives of their rays."""
 
-    engine: Operator
+    unknowns: Unknowns
+    model: ChannelModel
     ray_derivatives: RayDerivatives | None
+
+    @property
+    def engine(self) -> Operator:
+        return self.model.engine
 
 
 class _StageEnd(NamedTuple):
@@ -279,27 +337,36 @@ class JointSearch:
             return replace(self, iterations=state.iterations).run(state)
         if state.scale_without_limit != self.scale_without_limit:
             return replace(self, scale_without_limit=state.scale_without_limit).run(state)
-        current = self._fit_bench(state.unknowns)
-        if not state.trail and (scale := self._scale_without_limit(current)) > 0.0:
-            del current  # the search makes its own engine
-            iterations = max(self.iterations, MOST_ITERATIONS)
-            return self.run(replace(state, iterations=iterations, scale_without_limit=scale))
-        state = self._with_trial(state, current.unknowns, current.misfit)
-        reference = self._reference_tiles(current)
+        if state.point is None:
+            current = self._fit_bench(state.unknowns)
+            if not state.trail and (scale := self._scale_without_limit(current)) > 0.0:
+                del current  # the search makes its own engine
+                iterations = max(self.iterations, MOST_ITERATIONS)
+                return self.run(replace(state, iterations=iterations, scale_without_limit=scale))
+            state = self._with_trial(state, current.unknowns, current.misfit)
+            reference = self._reference_tiles(current)
+        else:
+            reference = self._restored_tiles(state.point)
+            current = self._restored_fit(state.point.current, reference)
+        is_repeated = state.point is not None and state.point.is_repeated
         if state.stage == 0:
             first_parameters = tuple(p for p in self.parameters if not p.is_sought_last)
-            if not self._is_near_noise(current):
+            if state.point is not None or not self._is_near_noise(current):
                 state, current = self._descend(
                     state, current, reference, first_parameters or self.parameters
                 )[:2]
             state = replace(state, stage=1, stretch=FIRST_STRETCH[1])
-        stage_end = self._descend(state, current, reference, self.parameters)
+        stage_end = self._descend(state, current, reference, self.parameters, is_repeated=is_repeated)
         verified = self._verified(stage_end.current)
-        if self._is_misled(stage_end.current, verified) and len(stage_end.state.trail) < self.most_benches:
+        if (
+            not is_repeated
+            and self._is_misled(stage_end.current, verified)
+            and len(stage_end.state.trail) < self.most_benches
+        ):
             current = self._fit_bench(stage_end.current.unknowns, verified.engine)
             state = self._with_trial(stage_end.state, current.unknowns, current.misfit)
             reference = self._reference_tiles(current)
-            stage_end = self._descend(state, current, reference, self.parameters)
+            stage_end = self._descend(state, current, reference, self.parameters, is_repeated=True)
             verified = self._verified(stage_end.current)
         current, state, reason = stage_end.current, stage_end.state, stage_end.reason
         del stage_end  # its columns are large
@@ -626,9 +693,26 @@ class JointSearch:
         return verified.misfit**2 < (1.0 - UNSETTLED_GAIN) * current.misfit**2
 
     def _reference_tiles(self, current: _BenchFit) -> _ReferenceTiles:
-        return _ReferenceTiles(
-            current.engine, self.pixels.ray_derivatives(current.unknowns, current.engine, self.parameters)
-        )
+        return self._tiles_of(current.unknowns, current.linear.model)
+
+    def _tiles_of(self, unknowns: Unknowns, model: ChannelModel) -> _ReferenceTiles:
+        derivatives = self.pixels.ray_derivatives(unknowns, model.engine, self.parameters)
+        return _ReferenceTiles(unknowns, model, derivatives)
+
+    def _restored_tiles(self, point: StagePoint) -> _ReferenceTiles:
+        """Return the tiles of a stage that continues."""
+        model = self.pixels.model(point.reference)
+        if point.is_repeated:
+            model = self.pixels.model(point.reference, model.engine)
+        return self._tiles_of(point.reference, model)
+
+    def _restored_fit(self, stored: StoredFit, reference: _ReferenceTiles) -> _BenchFit:
+        """Return a bench with its object from a checkpoint."""
+        is_reference = stored.unknowns.state == reference.unknowns.state
+        model = reference.model if is_reference else self.pixels.model(stored.unknowns, reference.engine)
+        model = model.with_scale(stored.scale)
+        linear = LinearModel(model, stored.transmission, self.pixels.scale is None)
+        return _BenchFit(stored.unknowns, linear, stored.transmission, stored.curve, stored.upper_bound)
 
     def _descend(
         self,
@@ -636,16 +720,29 @@ class JointSearch:
         current: _BenchFit,
         reference: _ReferenceTiles,
         parameters: tuple[Parameter, ...],
+        *,
+        is_repeated: bool = False,
     ) -> _StageEnd:
-        parameters_sought, reason = parameters, "limit of benches reached"
-        columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.ray_derivatives)
-        if parameters == self.parameters:
+        """Return the end of a stage, which continues at the state's point if there is one."""
+        point, parameters_sought, reason = state.point, parameters, "limit of benches reached"
+        about = current if point is None else self._restored_fit(point.slopes, reference)
+        slopes = about.stored
+        columns = self.pixels.columns(about.unknowns, about.linear, parameters, reference.ray_derivatives)
+        del about
+        if point is not None:
+            parameters_sought = tuple(p for p in parameters if p.name in point.sought)
+            state = replace(state, point=None)
+        elif parameters == self.parameters:
             parameters_sought = self._determined_parameters(current, columns)
         # For each stage, the fraction of the squared misfit below which the gain of a step ends it.
         least_gains = 0.05, 0.02
         # Fraction of the squared misfit below which a step hardly changes the derivatives.
         linear_gain = 0.1
         while len(state.trail) < self.most_benches:
+            if self.keep is not None:
+                names = tuple(p.name for p in parameters_sought)
+                point = StagePoint(reference.unknowns, current.stored, slopes, names, is_repeated)
+                self.keep(replace(state, unknowns=current.unknowns, point=point))
             sought_columns = (
                 columns
                 if parameters_sought == parameters
@@ -663,14 +760,13 @@ class JointSearch:
             state, best = self._search_along_step(state, current, reference.engine, equations, free)
             gain = 1.0 - self._price(best) / self._price(current)
             current, state = best, replace(state, unknowns=best.unknowns)
-            if gain > 0.0 and self.keep is not None:
-                self.keep(state)
             if gain < least_gains[state.stage] or (state.stage == 0 and self._is_near_noise(current)):
                 reason = CONVERGED
                 break
             del equations, sought_columns
             if gain > linear_gain:
                 del columns  # only one set of columns fits in memory
+                slopes = current.stored
                 columns = self.pixels.columns(
                     current.unknowns, current.linear, parameters, reference.ray_derivatives
                 )

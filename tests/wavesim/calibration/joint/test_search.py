@@ -195,7 +195,7 @@ def test_iterations_are_doubled_until_the_object_has_settled(search: JointSearch
     assert {"estimates", "standard deviations", "uncertainty of the object"} <= set(stages)
     assert found.object_uncertainty is not None
     again = few.run(states[-1])
-    assert again.trail[len(states[-1].trail)][1] == pytest.approx(found.trail[-1][1], rel=0.05)
+    assert again.trail == found.trail
 
 
 def test_a_search_without_a_limit_is_resumed_without_one(
@@ -213,8 +213,7 @@ def test_a_search_without_a_limit_is_resumed_without_one(
     assert {state.scale_without_limit for state in states} == {scale}
     last = states[-1]
     again = limited.run(last)
-    before = len(last.trail)
-    assert again.trail[:before] == last.trail
+    assert again.trail == found.trail
     assert found.unknowns.of(parameters)[0] == pytest.approx(1.5, abs=0.05)
     iterations = max(limited.iterations, last.iterations)
     with_limit, without = (
@@ -223,7 +222,6 @@ def test_a_search_without_a_limit_is_resumed_without_one(
     )
     assert with_limit.upper_bound == 1.0
     assert np.isinf(without.upper_bound)
-    assert again.trail[before][1] == pytest.approx(without.misfit, rel=1e-5)
     assert abs(with_limit.misfit - without.misfit) > 1e-4 * without.misfit
 
 
