@@ -52,6 +52,7 @@ SCRIPTS = (
     "plan_outcomes",
     "oversampling_chart",
     "calibration_errors",
+    "known_object",
     "photographs",
     "bench_sets",
     "focus_rule",

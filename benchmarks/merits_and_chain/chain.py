@@ -19,10 +19,13 @@ import scipy.fft
 
 from lensdesign.lens.lens import Lens, Sensor
 from wavesim import Electronics, Engine, Field, Grid, Measurement, SystemState, engine_for, reconstruct
-from wavesim.calibration.known_object import calibrate
+from wavesim.calibration.joint.blurred_search import blurred_search
+from wavesim.calibration.joint.pixels import DensePixels
+from wavesim.calibration.joint.search import JointSearch, SearchState
+from wavesim.calibration.parameters import Unknowns, mounting_parameters
 from wavesim.scene.scene import placed_light, placed_scene
 from wavesim.sensor import Camera, Recorder, Recording, recorded_planes
-from wavesim.sensor.measurement import placed_planes
+from wavesim.sensor.measurement import noise_misfit, placed_planes
 from wavesim.sensor.windows import exit_scene, sensor_window
 from wavesim.targets.illumination import field_stop, plane_wave
 from wavesim.targets.patch import Patch
@@ -131,14 +134,15 @@ class Chain:
 
     def mounting(self, planes: Sequence[Measurement], known: Array) -> SystemState:
         """The lens as mounted, from what was recorded of a known object."""
-        return calibrate(
-            self.engine.scene,
-            self.light,
-            planes,
-            known=Field(self.grid, known, self.light.wavelength_um),
-            parameters="all",
-            fill_factor=1.0,
-        ).state
+        scene, light = self.engine.scene, self.light.with_values(self.light.values.astype(np.complex64))
+        pixels = DensePixels(
+            scene, light, planes, None, 1.0, lambda one: engine_for(one, "eikonal", error=TILE_ERROR)
+        )
+        sought, values = mounting_parameters(self.lens, len(planes)), known.astype(np.complex64)
+        start = SearchState(blurred_search(pixels, values, sought, Unknowns()))
+        noise = noise_misfit(planes)
+        search = JointSearch(pixels, self.kind, sought, 5, 80, noise, values, has_deviations=False)
+        return search.run(start).unknowns.state
 
     def correlation(self, found: Array, true: Array) -> float:
         """Largest correlation of two objects over shift and focus, as the lens passes them."""

@@ -1,7 +1,6 @@
 from .calibration_result import Calibrated, read_bench, read_calibration
 from .frame_calibration import calibrate_empty, calibrate_frames
 from .free_space import FreeSpaceField, reconstruct_free_space
-from .known_object import calibrate
 from .planning import Plan, Plans, plan_frames
 
 __all__ = [
@@ -9,7 +8,6 @@ __all__ = [
     "FreeSpaceField",
     "Plan",
     "Plans",
-    "calibrate",
     "calibrate_empty",
     "calibrate_frames",
     "plan_frames",

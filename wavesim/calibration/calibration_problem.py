@@ -197,6 +197,7 @@ def search_bench(
     progress: Progress,
     known: NDArray[Any] | None = None,
     absorbed: tuple[Parameter, ...] | None = None,
+    what: str = "bench",
 ) -> Calibrated:
     """Search for the parameters of a bench, with a known object or together with the object.
 
@@ -217,6 +218,8 @@ def search_bench(
     absorbed
         Parameters of the light that are not sought, with their standard deviations, which a complex object
         takes over; default: those of the problem, with the expected ones.
+    what
+        What is sought, in messages of progress.
 
     Raises
     ------
@@ -242,7 +245,6 @@ def search_bench(
         parameters,
         None if checkpoint_path is None else Checkpoint(checkpoint_path, key),
     )
-    what = "bench" if known is None else "light, from the frames without an object"
     progress(f"{what}: as designed", 0, _expected_benches(0, settings.most_mountings))
     noise = noise_misfit(problem.pixels.recorded)
 
@@ -262,7 +264,7 @@ def search_bench(
         run.save,
         lambda stage, completed, total: progress(f"{what}: {stage}", completed, total),
         absorbed,
-        has_deviations=settings.deviations or known is not None,
+        has_deviations=settings.deviations,
     )
     try:
         with one_blas_thread():
@@ -284,7 +286,6 @@ def search_bench(
         misfit_before=found.trail[0][1],
         misfit=found.misfit,
         trail=tuple((tuple(u.of(parameters).tolist()), misfit) for u, misfit in found.trail),
-        at_reach=(),
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
         covariance=found.covariance,

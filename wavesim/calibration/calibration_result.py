@@ -65,8 +65,6 @@ class Calibrated(Result):
         bench. Each is computed with the object that fits best.
     trail : tuple of (tuple of float, float)
         Values that were tried, and their misfits.
-    at_reach : tuple of str
-        Parameters that ended at the bounds of the search.
     stopped_because : str
         Reason for the end of the search.
     misfit_of_noise : float or None
@@ -123,7 +121,6 @@ class Calibrated(Result):
     misfit_before: float
     misfit: float
     trail: tuple[tuple[tuple[float, ...], float], ...]
-    at_reach: tuple[str, ...]
     stopped_because: str
     misfit_of_noise: float | None
     correlated_with: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -255,7 +252,6 @@ class Calibrated(Result):
             "misfit": self.misfit,
             "misfit_of_noise": self.misfit_of_noise,
             "mountings_tried": len(self.trail),
-            "at_reach": list(self.at_reach),
             "stopped_because": self.stopped_because,
             "over_noise": self.over_noise,
             "explained": self.explained,
@@ -276,7 +272,7 @@ class Calibrated(Result):
         rows = [(name, f"{value:.5g}") for name, value in zip(self.parameters, self.values, strict=True)]
         rows.append(("misfit", f"{self.misfit:.4g}, before {self.misfit_before:.4g}{noise}"))
         rows.append(("search", f"{len(self.trail)} mountings, {self.stopped_because}"))
-        return rows + [("at the border", ", ".join(self.at_reach))] * bool(self.at_reach)
+        return rows
 
 
 def correlated_parameters(names: Sequence[str], covariance: Array) -> dict[str, tuple[str, ...]]:

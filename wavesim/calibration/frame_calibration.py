@@ -15,8 +15,8 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibration_problem import IGNORED_SETTINGS, CalibrationProblem, search_bench
 from wavesim.calibration.calibration_result import Calibrated
+from wavesim.calibration.joint.blurred_search import blurred_search
 from wavesim.calibration.joint.pixels import SparsePixels
-from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
     LIGHT_ORDER_ALONE,
@@ -329,13 +329,28 @@ def _calibrated_with_known_object(
             "{known}: cannot be used with {source_deg} or {bandwidth_nm}: the search for the mounting with a "
             "known object assumes coherent light; omit {known}, so that the object is found, too"
         )
-    stop_from, problem = settings.field_stop_from, CalibrationProblem(lens, frames, settings)
+    # Without deviations, all parameters have their estimates.
+    stop_from, settings = settings.field_stop_from, settings.replaced(deviations=False)
+    problem = CalibrationProblem(lens, frames, settings)
     if settings.field_stop == "find":
         stop = _found_stop(problem, None, progress)
         assert stop is not None
         problem = CalibrationProblem(lens, frames, settings.with_stop(*stop))
     known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
-    found = _with_field_stop(_calibrate_mounting(problem, known, progress), problem, stop_from)
+    light = problem.framed.light
+    if known.grid != light.grid:
+        raise InputError(f"known object: its grid {known.grid} is not the illumination's {light.grid}")
+    try:
+        sought = chosen_parameters(settings.parameters, mounting_parameters(lens, len(problem.recorded)))
+    except InputError as error:
+        raise SettingError(f"{{parameters}} = {settings.parameters!r}: {error}") from None
+    values = known.values.astype(np.complex64)
+    progress("bench: blurred frames", 0, 0)
+    nominal = Unknowns(problem.start)
+    before = LinearModel(problem.pixels.model(nominal), values, settings.scale is None).misfit
+    start = blurred_search(problem.pixels, values, sought, nominal)
+    found = search_bench(problem, sought, start, None, progress, values)
+    found = _with_field_stop(replace(found, typical=None, misfit_before=before), problem, stop_from)
     return _with_stop_finding(_with_verdict_of_known_object(problem, found, known))
 
 
@@ -512,7 +527,7 @@ def calibrate_empty(
     EmptyWarning
         If the frames are not fully explained.
     """
-    settings = (settings or CalibrationSettings()).replaced(**changes)
+    settings = (settings or CalibrationSettings()).replaced(**changes).replaced(deviations=True)
     for name in ("source_deg", "bandwidth_nm"):
         if getattr(settings, name) == "find":
             raise SettingError(
@@ -529,7 +544,8 @@ def calibrate_empty(
     unknowns = Unknowns(replace(start or problem.start, light=LightErrors(), source=source))
     checkpoint_path = None if folder is None else folder / EMPTY_CHECKPOINT
     known = np.ones(problem.framed.light.grid.shape, np.float32)
-    found = search_bench(problem, parameters_sought, unknowns, checkpoint_path, progress, known)
+    what = "light, from the frames without an object"
+    found = search_bench(problem, parameters_sought, unknowns, checkpoint_path, progress, known, what=what)
     found = _with_verdict_of_known_object(problem, found, problem.framed.light.with_values(known))
     noise, over_noise = found.misfit_of_noise or 0.0, found.over_noise or 0.0
     if over_noise > OBJECT_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > OBJECT_FRACTION:
@@ -659,26 +675,3 @@ def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated
         if (sigma := plane.sigma) is not None
     ]
     return replace(found, verdict=verdict(residuals) if residuals else None)
-
-
-def _calibrate_mounting(problem: CalibrationProblem, known: Field, progress: Progress) -> Calibrated:
-    settings = problem.settings
-    try:
-        chosen_parameters(settings.parameters, mounting_parameters(problem.lens, len(problem.recorded)))
-    except InputError as error:
-        raise SettingError(f"{{parameters}} = {settings.parameters!r}: {error}") from None
-    return calibrate(
-        problem.scene,
-        problem.framed.light,
-        problem.recorded,
-        known=known,
-        parameters=settings.parameters,
-        scale=settings.scale,
-        fill_factor=settings.fill_factor,
-        start=problem.start,
-        make=problem.make,
-        most_mountings=settings.most_mountings,
-        progress=lambda name, count, _, misfit: progress(
-            f"{name} search: misfit {misfit:.4f}", count, settings.most_mountings
-        ),
-    )

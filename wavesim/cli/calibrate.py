@@ -177,8 +177,7 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
     rows = []
     deviations = found.deviations or (None,) * len(found.parameters)
     for name, value, deviation in zip(found.parameters, found.values, deviations, strict=True):
-        notes = ["at the limit of the search range"] * (name in found.at_reach)
-        notes += ["poorly determined"] * (name in found.poorly_determined)
+        notes = ["poorly determined"] * (name in found.poorly_determined)
         notes += ["not needed, kept nominal"] * (name in found.nominal)
         notes += [f"correlated with {', '.join(found.correlated_with.get(name, ()))}"] * (
             name in found.correlated_with

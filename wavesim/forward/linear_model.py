@@ -330,7 +330,7 @@ class LinearModel:
             if plane.sigma is None:
                 planes.append(residual)
                 continue
-            bias = amplitude_bias(plane, self._modelled_amplitude(index))
+            bias = amplitude_bias(plane, self.modelled_amplitude(index))
             planes.append((residual - root * bias / self.size).astype(residual.dtype))
         return np.stack(planes)
 
@@ -344,7 +344,7 @@ class LinearModel:
         # Step in standard deviations, small beside the scale on which the bias changes.
         step_deviations = 0.05
         for index, plane in enumerate(self.model.recorded):
-            modelled = self._modelled_amplitude(index)
+            modelled = self.modelled_amplitude(index)
             if plane.sigma is None:
                 planes.append(np.ones_like(modelled))
                 continue
@@ -416,7 +416,7 @@ class LinearModel:
         """Return the change of the modelled amplitudes, with the background, for a relative change of a
         plane's exposure of 1.
         """
-        light = np.square(self._modelled_amplitude(plane))
+        light = np.square(self.modelled_amplitude(plane))
         return self._change_on_plane(plane, self._by_intensity[plane] * light)
 
     def jacobian_times_nonlinearity(self) -> RealArray:
@@ -434,7 +434,7 @@ class LinearModel:
         for index, (plane, root) in enumerate(zip(self.model.recorded, self._root_weights, strict=True)):
             if plane.fraction_per_intensity is None:
                 raise InputError("nonlinearity: needs planes that state the signals that the camera recorded")
-            modelled = self._modelled_amplitude(index)
+            modelled = self.modelled_amplitude(index)
             changes.append(-0.5 / self.size * root * plane.fraction_per_intensity * modelled**3)
         return self.without_scale(np.stack(changes).astype(self.residual.dtype))
 
@@ -455,13 +455,16 @@ class LinearModel:
         values = transmission * model.illumination.values
         return model.illumination.with_values(values.astype(model.illumination.values.dtype))
 
-    def _modelled_amplitude(self, plane: int) -> RealArray:
+    def modelled_amplitude(self, plane: int) -> RealArray:
         """Return the modelled amplitudes on a plane, with its background; the measured ones where the weight
         is 0.
         """
-        root, residual = self._root_weights[plane], self.residual[plane]
-        left = np.divide(residual * self.size, root, out=np.zeros(residual.shape), where=root > 0.0)
-        return np.asarray(self.model.recorded[plane].amplitude - left)
+        return np.asarray(self.model.recorded[plane].amplitude - self.unweighted(plane, self.residual[plane]))
+
+    def unweighted(self, plane: int, changes: RealArray) -> RealArray:
+        """Return residuals or changes on a plane in the unit of the amplitudes; 0 where the weight is 0."""
+        root = self._root_weights[plane]
+        return np.divide(changes * self.size, root, out=np.zeros(changes.shape), where=root > 0.0)
 
     def _change_on_plane(self, plane: int, change: RealArray) -> RealArray:
         changes = np.zeros_like(self.residual)

@@ -20,7 +20,7 @@ PARAMETERS = parameters_by_name(load_design("designs/paper_singlet.toml"))
 
 def calibrated(applied: dict[str, float], origin: StopOrigin = "frames") -> Calibrated:
     sought, values = tuple(PARAMETERS[name] for name in applied), tuple(applied.values())
-    found = Calibrated(SystemState(), sought, values, None, None, 0.1, 0.1, (), (), "converged", None)
+    found = Calibrated(SystemState(), sought, values, None, None, 0.1, 0.1, (), "converged", None)
     return replace(found, applied=applied, field_stop_mm=0.02, field_stop_from=origin)
 
 

@@ -307,6 +307,11 @@ def test_bench_and_bandwidth_are_found_in_turn() -> None:
     known = taken.target.transmission
     with pytest.raises(InputError, match="known"):
         calibrate_frames(lens, taken.frames, known=known, bandwidth_nm=30.0, **patch)
+    with pytest.raises(InputError, match="decenter_z_mm': unknown; allowed"):
+        calibrate_frames(lens, taken.frames, known=known, parameters="decenter_z_mm", **patch)
+    other = Field(replace(known.grid, pitch_mm=1e-3), known.values, known.wavelength_um)
+    with pytest.raises(InputError, match="known object: its grid"):
+        calibrate_frames(lens, taken.frames, known=other, **patch)
 
 
 def test_a_field_stop_is_sought_in_the_light_of_the_source(monkeypatch: pytest.MonkeyPatch) -> None:
