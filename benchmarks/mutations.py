@@ -229,8 +229,8 @@ MUTATIONS = (
     Mutation(
         "Eq. 4: the glass in front of the surface",
         "wavesim/engines/slices/compensation.py",
-        "None if oblique else ray.indices)",
-        "None if oblique else ray.indices[::-1])",
+        "for n in self.ray.indices)",
+        "for n in self.ray.indices[::-1])",
         "tests/wavesim/engines/slices/test_engine.py",
     ),
     Mutation(

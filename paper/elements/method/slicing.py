@@ -16,7 +16,7 @@ from paper.drawing import label
 from paper.element import Element, Made, Number, Work
 from paper.style import BLUE, GLASS, GREEN, GREY, INK, ORANGE, RED, VIOLET, styled_figure
 from wavesim import patch_scene
-from wavesim.engines.slices.compensation import CentreRays, centre_rays, slice_of
+from wavesim.engines.slices.compensation import CentreRays, Oblique, Vertical, centre_rays, slice_of
 from wavesim.engines.slices.planes import cutting_planes
 from wavesim.engines.surfaces.grids import working_grid
 
@@ -62,7 +62,8 @@ class Sliced:
     def planes_mm(self) -> list[Array]:
         """Of the entrance and of the exit surface, z rising."""
         heights = working_grid(self._scene).heights_mm
-        return cutting_planes(self._scene, self._rays, heights, self.slices, self.spacing, False)
+        compensations = [Vertical(ray) for ray in self._rays]
+        return cutting_planes(self._scene, compensations, heights, self.slices, self.spacing)
 
     def radius_mm(self, surface: int, z_mm: Any) -> Array:
         """Radial height at which a surface has a z."""
@@ -78,9 +79,9 @@ class Sliced:
         waves_per_mm = 1e3 / self.lens.wavelengths_um[0]
         thick = np.diff(planes)[slice_of(planes, ray.z_mm)]
         if oblique:
-            ends = [np.zeros_like(thick), 0.5 * waves_per_mm * (0.5 * thick) ** 2 * sum(ray.drift)]
+            ends = [np.zeros_like(thick), 0.5 * waves_per_mm * (0.5 * thick) ** 2 * sum(Oblique(ray).drift)]
         else:
-            ends = [waves_per_mm * thick * part for part in ray.obliquity]
+            ends = [waves_per_mm * thick * part for part in Vertical(ray).obliquity]
         order = np.argsort(ray.y_mm)
         return ray.y_mm[order], np.minimum(*ends)[order], np.maximum(*ends)[order]
 

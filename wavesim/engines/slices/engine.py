@@ -1,9 +1,25 @@
 """Annular slices: the paper's method of propagation through a thick lens, with phase compensation.
 
 Planes perpendicular to the axis cut every surface into slices. For each slice, the field is propagated to the
-slice's plane in the medium in front, masked to the slice (Eqs. 3, C1, C2), multiplied by the phase that light
-gains up to the surface and from there to the next plane in the medium behind (Eqs. 4, C3, C6), and propagated
-in that medium to one virtual plane, where all slices are summed (Eqs. C4, C7).
+slice's plane in the medium in front, masked to the slice (Eqs. 3, C1, C2, C5), multiplied by the phase that
+light gains up to the surface and from there to the next plane in the medium behind (Eqs. 4, C3, C6), and
+propagated in that medium to one virtual plane, where all slices are summed (Eqs. C4, C7).
+
+The paper propagates backwards, from the sensor: Eqs. C1 to C4 are those of the exit surface, Eqs. C5 to C7
+those of the entrance surface. Here one function is used for every surface; it is also its own adjoint. The
+paper's symbols have the following names in the code.
+
+=========================  ==================================================================================
+Symbol                     Code
+=========================  ==================================================================================
+z_p, z_q                   `planes_mm`: the cutting planes
+g_1, g_2                   `z`: the height of the surface at a sample
+Pupil_p, Pupil_q           `SlicedSurface.indices`: the slice of each sample (`slice_of`)
+P_z                        `_Steps`, the factors of plane waves, between two Fourier transforms
+u_p1, u_q1                 `wave` in `_Slice.pass_columns`, before it is multiplied by the factors
+u_p2, u_q2                 `kept` in `_Slice.pass_columns`
+u_virtual, u_en            `total` in `through_surface`
+=========================  ==================================================================================
 
 Vertical compensation, as printed, assumes light parallel to the axis. Over the height of a slice its phase
 error grows with the obliquity in both media. The error decreases as the slices become thinner.
@@ -30,12 +46,11 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_choice
 from wavesim.engines.slices.compensation import (
-    CentreRays,
+    COMPENSATIONS,
+    Compensation,
+    Oblique,
     border_light,
     centre_rays,
-    compensation,
-    other_angles,
-    slice_phase,
 )
 from wavesim.engines.slices.cost import slices_cost
 from wavesim.engines.slices.planes import Spacing, cutting_planes
@@ -112,7 +127,7 @@ class AnnularSlices(Engine):
         most_slices = 50_000
         if not whole or not 1 <= slices <= most_slices:
             raise InputError(f"slices = {slices!r}: must be a whole number from 1 to {most_slices}")
-        validate_choice("compensation", compensation, ("vertical", "oblique"))
+        validate_choice("compensation", compensation, tuple(COMPENSATIONS))
         validate_choice("spacing", spacing, ("equal", "paper", "equal-phase"))
         validate_choice("precision", precision, ("double", "single"))
         self.precision = precision
@@ -148,17 +163,18 @@ class AnnularSlices(Engine):
             "half_width_mm": max(grid.half_widths_mm[0] for grid in grids),
         }
 
-    @property
-    def _oblique(self) -> bool:
-        return self.compensation == "oblique"
+    def _compensations(self, fan: bool) -> tuple[Compensation, ...]:
+        """Return the compensation at every surface, from a meridional fan or a bundle of rays."""
+        rays = centre_rays(self.scene, self.scene.object_grid.centre_mm, fan)
+        return tuple(COMPENSATIONS[self.compensation](ray) for ray in rays)
 
     @cached_property
-    def _fan(self) -> tuple[CentreRays, ...]:
-        return centre_rays(self.scene, self.scene.object_grid.centre_mm, fan=True)
+    def _fan(self) -> tuple[Compensation, ...]:
+        return self._compensations(fan=True)
 
     def _planes(self, heights_mm: Sequence[tuple[float, float]]) -> list[Array]:
-        rays = self._fan if self.spacing != "equal" else ()
-        return cutting_planes(self.scene, rays, heights_mm, self.slices, self.spacing, self._oblique)
+        fan = self._fan if self.spacing != "equal" else ()
+        return cutting_planes(self.scene, fan, heights_mm, self.slices, self.spacing)
 
     @cached_property
     def _prepared(self) -> SurfaceTransfer:
@@ -166,15 +182,15 @@ class AnnularSlices(Engine):
         check_grid_size(self.name, max(front.grid.size for front, _ in self.sides), self.cost(), self.force)
         self._warn()
         scene = self.scene
-        rays = centre_rays(scene, scene.object_grid.centre_mm)
+        compensations = self._compensations(fan=False)
         reached = [
             IlluminatedArea(scene, i, front.grid, reach)
             for i, ((front, _), reach) in enumerate(zip(self.sides, self.light.reach_mm, strict=True))
         ]
         planes = self._planes([part.span_mm() for part in reached])
         surfaces = [
-            sliced(part, compensation(scene, ray, self._oblique), cut, self._oblique, self._dtype)
-            for part, ray, cut in zip(reached, rays, planes, strict=True)
+            sliced(part, compensation, cut, self._dtype)
+            for part, compensation, cut in zip(reached, compensations, planes, strict=True)
         ]
         return SurfaceTransfer(
             scene.object_grid,
@@ -205,7 +221,7 @@ class AnnularSlices(Engine):
     def _phases(self) -> list[Array]:
         """Phase errors of the compensation for the rays of a meridional fan on every surface."""
         k, planes = self.scene.wavenumber_per_mm, self._nominal_planes
-        return [slice_phase(ray, p, self._oblique, k) for ray, p in zip(self._fan, planes, strict=True)]
+        return [surface.phase_error(cut, k) for surface, cut in zip(self._fan, planes, strict=True)]
 
     def error_terms(self) -> tuple[ErrorTerm, ...]:
         found = [
@@ -218,18 +234,20 @@ class AnnularSlices(Engine):
                 at_rim=True,
             ),
         ]
-        if self._oblique:
-            found.append(ErrorTerm("angles of light from beside the object's middle", self._other_angles()))
+        oblique = [surface for surface in self._fan if isinstance(surface, Oblique)]
+        if oblique:
+            error = self._other_angles(oblique)
+            found.append(ErrorTerm("angles of light from beside the object's middle", error))
         return tuple(sorted(found, key=lambda n: -n.relative_error))
 
     def _border_error(self) -> float:
         fractions = [
-            border_light(ray, p, behind.medium)
-            for ray, p, (_, behind) in zip(self._fan, self._nominal_planes, self.sides, strict=True)
+            border_light(surface.ray, cut, behind.medium)
+            for surface, cut, (_, behind) in zip(self._fan, self._nominal_planes, self.sides, strict=True)
         ]
         return math.sqrt(sum(float(np.mean(fraction)) for fraction in fractions))
 
-    def _other_angles(self) -> float:
+    def _other_angles(self, compensations: Sequence[Oblique]) -> float:
         """Return the relative error for points at the rms distance along y of a filled object grid."""
         grid, k = self.scene.object_grid, self.scene.wavenumber_per_mm
         (x, y), worst = grid.centre_mm, 0.0
@@ -240,8 +258,8 @@ class AnnularSlices(Engine):
             except InputError:
                 continue
             phases = [
-                k * other_angles(ray, other, p)
-                for ray, other, p in zip(self._fan, others, self._nominal_planes, strict=True)
+                k * own.other_angles(other, cut)
+                for own, other, cut in zip(compensations, others, self._nominal_planes, strict=True)
             ]
             worst = max(worst, _misfit(phases))
         return worst
@@ -264,7 +282,7 @@ class AnnularSlices(Engine):
         warnings.warn(
             f"slices = {self.slices}: the phase error of {self.compensation} compensation is up to "
             f"{waves:.3g} waves in a slice, and the relative error of the exit field about {error:.2g}: use "
-            "more slices" + ("" if self._oblique else ", or oblique compensation"),
+            "more slices" + ("" if self.compensation == "oblique" else ", or oblique compensation"),
             SamplingWarning,
             stacklevel=6,
         )

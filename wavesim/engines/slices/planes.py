@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.slices.compensation import CentreRays
+from wavesim.engines.slices.compensation import CentreRays, Compensation
 from wavesim.scene.scene import Scene
 
 Spacing = Literal["equal", "paper", "equal-phase"]
@@ -19,11 +19,10 @@ BINS = 512
 
 def cutting_planes(
     scene: Scene,
-    rays: Sequence[CentreRays],
+    compensations: Sequence[Compensation],
     heights_mm: Sequence[tuple[float, float]],
     slices: int,
     spacing: Spacing,
-    oblique: bool,
 ) -> list[Array]:
     """Return the cutting planes of every surface, increasing, one more than slices; both ends touch the
     surface.
@@ -32,8 +31,8 @@ def cutting_planes(
     ----------
     scene
         Lens, grids and wavelength.
-    rays
-        Rays of the object's centre at each surface.
+    compensations
+        Compensation at each surface; only for a spacing that is not equal.
     heights_mm
         Lowest and highest point of each surface.
     slices
@@ -42,17 +41,16 @@ def cutting_planes(
         ``equal``: evenly spaced on every surface. ``paper``: spacing in proportion to the local meridional
         radius of curvature, over all surfaces. ``equal-phase``: equal phase errors of the compensation in all
         slices.
-    oblique
-        Whether ``equal-phase`` refers to oblique or to vertical compensation.
     """
     if spacing == "equal":
         return [np.linspace(low, high, (slices if high > low else 1) + 1) for low, high in heights_mm]
     weights = []
-    for i, (ray, span) in enumerate(zip(rays, heights_mm, strict=True)):
+    for i, (compensation, span) in enumerate(zip(compensations, heights_mm, strict=True)):
         if span[1] == span[0]:
             weights.append(np.zeros(BINS))
             continue
-        density = 1.0 / _local_radius_mm(scene, i, ray) if spacing == "paper" else ray.density(oblique)
+        ray = compensation.ray
+        density = 1.0 / _local_radius_mm(scene, i, ray) if spacing == "paper" else compensation.density
         weights.append(_binned(ray.z_mm, density, span))
     total = sum(float(weight.sum()) for weight in weights) or 1.0
     counts = [max(1, round(slices * len(weights) * float(weight.sum()) / total)) for weight in weights]

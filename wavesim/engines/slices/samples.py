@@ -1,8 +1,8 @@
 """Samples of the slices of a surface, and their complex factors.
 
 A slice is the part of the surface between two neighbouring planes (Eq. C2), for any shape; for a surface of
-revolution it is an annulus (Eq. C1). Two images over the square that light reaches hold the slice index and
-the factor of each sample. They are computed some rows at a time.
+revolution it is an annulus (Eqs. C1, C5). Two images over the square that light reaches hold the slice index
+and the factor of each sample. They are computed some rows at a time.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class SlicedSurface:
     indices : ndarray of int, shape (rows, columns)
         Index of the slice of each sample; the highest value of the type marks samples without a slice.
     factors : ndarray of complex, shape (rows, columns)
-        Phase compensation and transmission.
+        Phase compensation (Eqs. C3, C6) and transmission.
     labels : list of int
         Index in the image of each slice that has samples.
     boxes : list of ImageRegion
@@ -155,7 +155,7 @@ def index_type(slices: int) -> np.dtype[Any]:
 
 
 def sliced(
-    area: IlluminatedArea, compensation: Compensation, planes_mm: Array, middle: bool, dtype: DTypeLike
+    area: IlluminatedArea, compensation: Compensation, planes_mm: Array, dtype: DTypeLike
 ) -> SlicedSurface:
     """Sample a surface by slice.
 
@@ -167,14 +167,10 @@ def sliced(
         Phase compensation and transmission of the surface.
     planes_mm
         Cutting planes.
-    middle
-        Whether a slice receives and emits light at its middle plane, or at its lower and upper plane.
     dtype
         Data type of the factors.
     """
-    low, high = planes_mm[:-1], planes_mm[1:]
-    if middle:
-        low = high = 0.5 * (low + high)
+    low, high = compensation.ends_mm(planes_mm)
     count, shape = len(low), area.shape
     kind = index_type(count)
     indices = np.full(shape, np.iinfo(kind).max, kind)
@@ -188,6 +184,7 @@ def sliced(
         before, behind, amplitude, phase = compensation.at(y, x, inside)
         z, amplitude = z[inside], amplitude * lit[inside]
         which = slice_of(planes_mm, z)
+        # Exponents of Eqs. C3 and C6 over k: n1 (g - z_p) + n2 (z_(p+1) - g).
         path = before * (z - low[which]) + behind * (high[which] - z)
         factors[first:stop][inside] = amplitude.astype(factors.real.dtype) * phasor_of(
             k * path + phase, factors.dtype

@@ -115,6 +115,9 @@ def through_surface(
 ) -> Any:
     """Propagate the waves of one medium at the first slice to those of the other medium at the last slice.
 
+    These are Eqs. C1 to C4, or C5 to C7. Each slice adds its waves to the sum, which then moves on to the
+    plane of the next slice, so that the last slice's plane is the virtual plane.
+
     The exact adjoint runs from the last slice to the first, with conjugate factors.
 
     Parameters
@@ -178,7 +181,7 @@ class _Slice:
     adjoint: bool
 
     def take_rows(self, arriving: Any, step: _Steps, between: Any) -> None:
-        """Transform along x, from waves to the columns of the slice."""
+        """Propagate to the plane of the slice (P in Eqs. C1, C5), and transform along x to its columns."""
         columns = self._columns
         width, order = columns.stop - columns.start, arriving.shape[1] // 2
 
@@ -207,7 +210,9 @@ class _Slice:
             columns = slice(box.columns.start + a, box.columns.start + b)
             factor = np.asarray(surface.factors[box.rows, columns], dtype=between.dtype)
             is_own = np.asarray(surface.indices[box.rows, columns]) == surface.labels[self.which]
+            # Eqs. C3, C6: the phase compensation.
             kept = wave[rows] * (np.conj(factor) if self.adjoint else factor)
+            # Eqs. C1, C5: the pupil of the slice.
             wave[: rows.start] = 0.0
             wave[rows.stop :] = 0.0
             wave[rows] = np.where(is_own, kept, np.zeros_like(kept))
@@ -218,7 +223,7 @@ class _Slice:
         _in_blocks(work, box.columns.stop - box.columns.start, count)
 
     def give_rows(self, total: Any, step: _Steps, between: Any) -> None:
-        """Transform along x, from the columns of the slice to waves, and add them to the total."""
+        """Transform along x, from the columns of the slice to waves, and add them to the total (C4, C7)."""
         columns = self._columns
         width, order = columns.stop - columns.start, total.shape[1] // 2
 

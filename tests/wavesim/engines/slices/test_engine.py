@@ -19,7 +19,7 @@ from lensdesign.raytrace.bundles import launch_compiled
 from lensdesign.raytrace.rays import trace_compiled
 from wavesim.analytic.cylinder import cylinder_scene
 from wavesim.analytic.registry import AnalyticCase
-from wavesim.engines.slices.compensation import centre_rays, slice_phase
+from wavesim.engines.slices.compensation import COMPENSATIONS, centre_rays
 from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.engines.slices.samples import IlluminatedArea
 from wavesim.engines.wpm.engine import WavePropagation
@@ -235,7 +235,7 @@ def test_slices_of_equal_phase(paper_line: Scene, compensation: str) -> None:
     for spacing in ("equal", "equal-phase"):
         largest = []
         for ray, cut in zip(rays, planes(paper_line, 15, compensation, spacing), strict=True):
-            phase = slice_phase(ray, cut, compensation == "oblique", K_PER_MM)
+            phase = COMPENSATIONS[compensation](ray).phase_error(cut, K_PER_MM)
             slot = np.searchsorted(cut[1:-1], ray.z_mm)
             largest += [np.max(phase[slot == i]) for i in np.unique(slot)[1:-1]]
         spread[spacing] = np.std(largest) / np.mean(largest)
