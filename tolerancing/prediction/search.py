@@ -272,9 +272,9 @@ class StudyAsBuilt:
             count = len(scatter.amounts)
             squares = [waves.squares(k) for k in range(len(self.judged))]
             rms = np.sqrt([np.mean(own) for own in squares])
-            even = np.full(count, 1.0 / count)
+            equal = np.full(count, 1.0 / count)
             if variables:
-                rms_by = np.stack([waves.weighted(k, even) / (2.0 * rms[k]) for k in range(len(rms))])
+                rms_by = np.stack([waves.weighted(k, equal) / (2.0 * rms[k]) for k in range(len(rms))])
             else:
                 rms_by = np.zeros((len(rms), 0))
             limits += [WavefrontLoads(waves, k, own.limit_waves) for k, own in enumerate(self.judged)]

@@ -189,7 +189,7 @@ class Rehearsal(Processes):
         from tolerancing.study.evaluate import prepare_merits
 
         if self._files and not self.in_this_process:
-            self._in_own_process(partial(prepare_merits, self._study))
+            self._in_another_process(partial(prepare_merits, self._study))
         else:
             prepare_merits(self._study)
 
@@ -206,10 +206,10 @@ class Rehearsal(Processes):
         if self.in_this_process:
             return work()
         if self._files:
-            return self._in_own_process(work)
+            return self._in_another_process(work)
         return self._pool_of_run.run_with_prefetch(work, tasks, levels)
 
-    def _in_own_process(self, work: Callable[[], Result]) -> Result:
+    def _in_another_process(self, work: Callable[[], Result]) -> Result:
         try:
             return self.submit(work).result()
         except BrokenProcessPool as error:

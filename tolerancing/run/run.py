@@ -161,8 +161,8 @@ def run_study(
     crew = processes or assumed_cluster_workers
     pool = LocalPool(loaded, processes)
     # User code may end its process, and must not end this one.
-    in_own_process = workers == 1 and not any(merit.file_name for merit in loaded.study.all_merits)
-    with pool, Rehearsal(loaded, in_own_process, pool) as rehearsal:
+    in_this_process = workers == 1 and not any(merit.file_name for merit in loaded.study.all_merits)
+    with pool, Rehearsal(loaded, in_this_process, pool) as rehearsal:
         rehearsal.get_ready()
         store, is_new = _ready_store(Path(store_path), loaded, planned, crew, fresh, rehearsal)
         try:

@@ -58,8 +58,8 @@ def correlation_with_error(error: float, strength: float) -> float:
 
 def object_strength(transmission: Field, light: Field) -> float:
     """Return the fraction of an object field's energy that is not a multiple of the illumination."""
-    lit, even = light.values * transmission.values, light.values
-    energies = [float(np.vdot(one, one).real) for one in (lit, even)]
+    behind, incident = light.values * transmission.values, light.values
+    energies = [float(np.vdot(one, one).real) for one in (behind, incident)]
     if not min(energies) > 0.0:
         return 0.0
-    return max(1.0 - float(abs(np.vdot(even, lit)) ** 2) / (energies[0] * energies[1]), 0.0)
+    return max(1.0 - float(abs(np.vdot(incident, behind)) ** 2) / (energies[0] * energies[1]), 0.0)

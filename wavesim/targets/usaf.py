@@ -311,13 +311,13 @@ def usaf_chart(grid: Grid, elements: Sequence[UsafElement], polarity: Polarity =
     return with_polarity(rectangle_coverage(grid, bars), polarity)
 
 
-def _square_centre_mm(even: int, outermost: int) -> tuple[float, float]:
+def _square_centre_mm(even_group: int, outermost: int) -> tuple[float, float]:
     """Return the centre of the square of two groups, relative to that of the outermost square.
 
     Each square lies halfway between the columns around it.
     """
     x = 0.0
-    for group in range(outermost, even, 2):
+    for group in range(outermost, even_group, 2):
         width = 1e-3 * usaf_line_width_um(group, 1)
         left, right = ((2.0 * LENGTH + GAP) * width * factor for factor in (2.0 ** (-1.0 / 6.0), 0.5))
         x += 0.5 * (left - right)

@@ -19,7 +19,12 @@ from wavesim.scene.scene import Scene
 
 
 def slices_cost(
-    scene: Scene, sides: Sequence[tuple[Waves, Waves]], light: LightExtent, slices: int, unit: int, even: bool
+    scene: Scene,
+    sides: Sequence[tuple[Waves, Waves]],
+    light: LightExtent,
+    slices: int,
+    unit: int,
+    equal_steps: bool,
 ) -> Cost:
     """Return time and memory of one propagation through all surfaces, and of the set-up.
 
@@ -31,7 +36,7 @@ def slices_cost(
         Number of slices of each surface.
     unit
         Bytes of a sample.
-    even
+    equal_steps
         Whether the steps between planes are equal.
     """
     is_line = scene.object_grid.is_line
@@ -56,7 +61,7 @@ def slices_cost(
         outer = 0.0 if is_line else float(length * (front.shape[0] + behind.shape[0]))
         each = (1.0 if is_line else 0.5) * fft_seconds(int(inner + outer), is_line)
         each += 2.0 * pass_seconds(int(inner + outer))
-        seconds += (count if even else 2 * count) * exponential_seconds(factors if not even else 1)
+        seconds += (count if equal_steps else 2 * count) * exponential_seconds(1 if equal_steps else factors)
         seconds += count * each + 2.0 * exponential_seconds(factors)
     for (_, before), (front, _) in pairwise(sides):
         if before.grid != front.grid:

@@ -288,8 +288,8 @@ class AnnularSlices(Engine):
         )
 
     def cost(self) -> Cost:
-        unit, even = self._dtype.itemsize, self.spacing == "equal"
-        return slices_cost(self.scene, self.sides, self.light, self.slices, unit, even)
+        unit, equal_steps = self._dtype.itemsize, self.spacing == "equal"
+        return slices_cost(self.scene, self.sides, self.light, self.slices, unit, equal_steps)
 
 
 def _misfit(phases: Sequence[Array]) -> float:
