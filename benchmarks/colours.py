@@ -22,8 +22,8 @@ from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
 from wavesim import FoundColours, Frame, image, reconstruct_colours
 from wavesim.fields.field import Field
-from wavesim.plots.colours import colours_figure, heights_figure
 from wavesim.plots.frames import save
+from wavesim.reconstruction.colour_figures import colours_figure, heights_figure
 from wavesim.targets.colours import film
 from wavesim.targets.patch import Patch, make_target, object_patch
 

@@ -36,10 +36,10 @@ ORDER = {
         "pupil",
         "engines",
         "sensor metrics",
+        "plots",
         "forward",
         "reconstruction",
         "calibration",
-        "plots",
         "cli",
     ),
     "tolerancing": (

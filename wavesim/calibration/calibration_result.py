@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import Field
@@ -16,14 +17,17 @@ from pydantic import Field
 from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import Finite, FrozenModel
 from lensdesign.common.input_files import read_json
+from lensdesign.common.text import name_with_unit, number_with_unit, words_and_unit
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
+from lensdesign.plots.style import BLUE, GREY, ORANGE, in_style, styled_figure
 from wavesim.calibration.joint.search import CONVERGED
 from wavesim.calibration.object_uncertainty import ObjectUncertainty
 from wavesim.calibration.parameters import Parameter, StopShift, Unknowns, parameters_by_name
 from wavesim.metrics.goodness_of_fit import BenchUncertainty, GoodnessOfFit
+from wavesim.plots.frames import save
 from wavesim.reconstruction.calibrated_bench import (
     JUDGED_OBJECT,
     CalibratedBench,
@@ -31,14 +35,18 @@ from wavesim.reconstruction.calibrated_bench import (
     read_judged_object,
 )
 from wavesim.reconstruction.field_stop import FieldStop
-from wavesim.runtime.result import Result
+from wavesim.runtime.result import WritableResult
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.state_files import STATE, state_of_file, state_table
 from wavesim.scene.system_state import SystemState
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibrated(Result):
+class Calibrated(WritableResult):
     """A calibrated bench, and the quality of the calibration.
 
     :func:`wavesim.calibrate_frames` returns it. The n parameters are numbers in the unit that their names
@@ -111,7 +119,7 @@ class Calibrated(Result):
     (0.005, True)
     """
 
-    heading = "Bench as it is"
+    heading, file = "Bench as it is", "calibration.json"
 
     state: SystemState
     sought: tuple[Parameter, ...]
@@ -266,6 +274,27 @@ class Calibrated(Result):
             if self.object_uncertainty is None
             else self.object_uncertainty.summary.as_dict(),
         }
+
+    def write(self, folder: str | Path, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Write the bench, its figure, and the object of its verdict.
+
+        A reconstruction of the same frames uses both (:func:`read_bench`).
+        """
+        summary = super().write(folder, more)
+        path = Path(folder) / JUDGED_OBJECT
+        with suppress(InputError, OSError):  # it only saves a reconstruction its time
+            if self.judged is None:  # one of an earlier run may lie there
+                path.unlink(missing_ok=True)
+            else:
+                self.judged.write(path)
+        return summary
+
+    def plot(self) -> Figure:
+        """Draw misfit and parameters of all tested benches."""
+        return _calibration_figure(self)
+
+    def _write_files(self, folder: Path, summary: Mapping[str, Any]) -> None:
+        save(self.plot(), folder / "calibration.png")
 
     def _rows(self) -> list[tuple[str, str]]:
         noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"
@@ -444,3 +473,79 @@ def _numbers(values: Any, path: str | os.PathLike[str], lens: Lens) -> dict[Para
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"{path}: values: {name} = {value!r}: must be a finite number")
     return {allowed[name]: float(value) for name, value in values.items() if name != ignored}
+
+
+@in_style
+def _calibration_figure(found: Calibrated) -> Figure:
+    """Draw misfit and parameters of all tested benches."""
+    if found.typical is not None:
+        figure = styled_figure(8.0, 2.8 + 0.26 * len(found.parameters))
+        above, below = figure.subplots(2, height_ratios=[1.0, 0.12 * len(found.parameters) + 0.2])
+        _draw_misfits(above, found)
+        _draw_values(below, found)
+        return figure
+    rows = 1 + (len(found.parameters) + 1) // 2
+    figure = styled_figure(8.0, 2.0 * rows)
+    cells = figure.add_gridspec(rows, 2)
+    above = figure.add_subplot(cells[0, :])
+    _draw_misfits(above, found)
+    steps = np.arange(1, len(found.trail) + 1)
+    for k, name in enumerate(found.parameters):
+        axes = figure.add_subplot(cells[1 + k // 2, k % 2], sharex=above)
+        label, unit, factor = _label_and_unit(name)
+        axes.plot(steps, [factor * values[k] for values, _ in found.trail], ".-", color=BLUE, lw=0.8)
+        value = factor * found.values[k]
+        axes.axhline(value, color=ORANGE, lw=0.8)
+        axes.set_ylabel(name_with_unit(label, unit))
+        axes.set_title(number_with_unit(f"estimate: {value:.3f}", unit), fontsize=9, color=ORANGE)
+        axes.grid(True)
+        axes.set_xlabel("tested bench" if k >= len(found.parameters) - 2 else "")
+    return figure
+
+
+def _draw_misfits(axes: Axes, found: Calibrated) -> None:
+    noise = found.misfit_of_noise
+    misfits = np.array([misfit for _, misfit in found.trail])
+    axes.plot(np.arange(1, len(misfits) + 1), misfits, ".-", color=BLUE, lw=0.8)
+    axes.set_yscale("log" if misfits.max() > 5.0 * misfits.min() else "linear")
+    axes.set_ylabel("misfit of amplitudes")
+    axes.set_xlabel("tested bench")
+    axes.grid(True)
+    if noise is not None:
+        axes.axhline(noise, color=GREY, lw=0.8, ls="--")
+        axes.annotate(
+            "noise alone", (1.0, noise), xycoords=("axes fraction", "data"), xytext=(-4, 3),
+            textcoords="offset points", ha="right", color=GREY, fontsize=8,
+        )  # fmt: skip
+
+
+def _draw_values(axes: Axes, found: Calibrated) -> None:
+    """Draw each parameter over its typical size, with its standard deviation; grey if undetermined."""
+    assert found.typical is not None
+    rows = np.arange(len(found.parameters))[::-1]
+    typical, deviations = np.array(found.typical), found.deviations or (None,) * len(rows)
+    for row, name, value, deviation, usual in zip(
+        rows, found.parameters, found.values, deviations, typical, strict=True
+    ):
+        color = GREY if name in found.poorly_determined else ORANGE
+        bar = None if deviation is None else deviation / usual
+        axes.errorbar(value / usual, row, xerr=bar, fmt="o", ms=3.5, lw=1.0, capsize=2, color=color)
+        _, unit, factor = _label_and_unit(name)
+        uncertainty = "" if deviation is None else f" ± {factor * deviation:.2g}"
+        text = number_with_unit(f"{factor * value:.3g}{uncertainty}", unit)
+        axes.annotate(
+            text, (1.0, row), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
+            va="center", fontsize=7.5, color=color, annotation_clip=False,
+        )  # fmt: skip
+    axes.set_yticks(rows, [_label_and_unit(name)[0] for name in found.parameters], fontsize=7.5)
+    axes.set_ylim(-0.7, len(rows) - 0.3)
+    axes.axvline(0.0, color="black", lw=0.6)
+    bars = "; error bars: standard deviation; grey: not determined by the frames"
+    axes.set_xlabel("value / typical size" + bars * (found.deviations is not None))
+    axes.grid(True)
+
+
+def _label_and_unit(name: str) -> tuple[str, str, float]:
+    """Return a parameter's label, its unit, and the factor that converts its value to this unit."""
+    words, unit = words_and_unit(name)
+    return (words, "um", 1e3) if unit == "mm" else (words, unit, 1.0)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,14 @@ from lensdesign.errors import InputError
 from wavesim.engines.no_lens import FreeSpace
 from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field, Grid
+from wavesim.fields.files import write_arrays, write_field
 from wavesim.forward.channel_model import ChannelModel
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
-from wavesim.runtime.result import Result
+from wavesim.plots.frames import save
+from wavesim.plots.objects import object_figure
+from wavesim.plots.pyramid import write_pyramid
+from wavesim.runtime.result import WritableResult
+from wavesim.runtime.result_files import write_csv, write_json
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
 from wavesim.sensor.frames import Frame
@@ -181,7 +187,7 @@ class Stack:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FreeSpaceField(Result):
+class FreeSpaceField(WritableResult):
     """The field on z = 0 behind a stack of frames, and the bench with which it was found.
 
     Attributes
@@ -213,7 +219,7 @@ class FreeSpaceField(Result):
         Whether distances were calibrated, too. Otherwise they are the stated ones.
     """
 
-    heading = "Field behind frames in free space"
+    heading, file = "Field behind frames in free space", "reconstruction.json"
 
     field: Field
     state: SystemState
@@ -269,6 +275,35 @@ class FreeSpaceField(Result):
                 for n, plane in enumerate(self.planes)
             ],
         }
+
+    def write(
+        self, folder: str | Path, more: Mapping[str, Any] | None = None, predict_mm: Sequence[float] = ()
+    ) -> dict[str, Any]:
+        """Write the field, its pictures and the bench, with the amplitudes on planes at `predict_mm`."""
+        return super().write(folder, dict(more or {}) | {"predicted_mm": list(predict_mm)})
+
+    def _write_files(self, folder: Path, summary: Mapping[str, Any]) -> None:
+        pitch_um = 1e3 * self.field.grid.pitch_mm
+        write_field(self.field, folder / "reconstruction.npz", centre_x_mm=0.0, centre_y_mm=0.0)
+        for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
+            write_pyramid(self.field.values, folder / f"{name}.tif", pitch_um, (quantity,))
+        everywhere = np.ones(self.field.grid.shape, bool)
+        save(object_figure(self.field, everywhere, "free space, z = 0"), folder / "reconstruction.png")
+        rows = [{"iteration": n, "misfit": value} for n, value in enumerate(self.misfit, 1)]
+        write_csv(rows, folder / "convergence.csv")
+        distances = summary["predicted_mm"]
+        if distances:
+            amplitudes = [self.amplitude(distance) for distance in distances]
+            for distance, amplitude in zip(distances, amplitudes, strict=True):
+                write_pyramid(amplitude, folder / f"predicted_{distance:g}_mm.tif", pitch_um, ("amplitude",))
+            write_arrays(
+                folder / "predicted.npz",
+                amplitude=np.array(amplitudes),
+                plane_distance_mm=distances,
+                pitch_um=pitch_um,
+                wavelength_um=self.field.wavelength_um,
+            )
+        write_json(summary, folder / "calibration.json")
 
     def _picture(self) -> NDArray[Any]:
         return self.field.values

@@ -10,21 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Json
-from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors
-from wavesim.cli.options import DesignOption, Empty, Frames, Output, Priors, print_warnings, warning_messages
-from wavesim.cli.runs import print_table, progress, versions
+from wavesim.cli.options import DesignOption, Empty, Frames, Output, Priors
+from wavesim.cli.runs import Run, print_table
 from wavesim.scene.settings import STOP_ORIGINS, CalibrationSettings, FrameSetSettings
 
 if TYPE_CHECKING:
     from wavesim.calibration.calibration_result import Calibrated
     from wavesim.sensor.frames import Frame
-
-FILE = "calibration.json"
 
 
 @most_used(
@@ -86,8 +82,8 @@ def calibrate(
     extra: dict[str, Any] = {"object": "known" if known else settings.kind}
     if empty:
         extra["empty"] = [str(path) for path in empty]
-    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    run = Run(as_json)
+    with run.computing() as on_progress:
         lens = load_design(design)
         pictures = read_frames(frames, of_frames, lens=lens)
 
@@ -96,9 +92,7 @@ def calibrate(
             searched.append(found)  # an interrupt from here on keeps it
             with warnings.catch_warnings():  # those of plots are no warnings about the result
                 warnings.simplefilter("ignore")
-                write_calibration(
-                    found, frames, pictures, extra | {"warnings": warning_messages(caught)}, output
-                )
+                write_calibration(found, frames, pictures, extra | {"warnings": run.messages}, output)
 
         try:
             found = calibrate_frames(
@@ -118,17 +112,14 @@ def calibrate(
             found = searched[0]
     is_complete = found.verdict is not None or not searched
     is_without_verdict = found.verdict is None and settings.verdict == "none"
-    messages = warning_messages(caught)
-    print_warnings(messages)
-    summary = write_calibration(found, frames, pictures, extra | {"warnings": messages}, output)
+    summary = write_calibration(found, frames, pictures, extra | {"warnings": run.messages}, output)
     # A search whose verdict or deviations were left out can be continued to them.
     if is_complete and not is_without_verdict and settings.deviations:
         for name in SEARCH_CHECKPOINTS:
             with suppress(OSError):  # A left-over checkpoint does no harm.
                 (output / name).unlink(missing_ok=True)
-    if as_json:
-        print_json(summary)
-    else:
+
+    def show(summary: dict[str, Any]) -> None:
         print_calibration(found, summary, output)
         if not is_complete:
             print(f"verdict: not judged: interrupted after the search; {ADVICE['not judged']}")
@@ -136,37 +127,21 @@ def calibrate(
             print("verdict: not judged: --verdict none; the same command without it judges the bench")
             if found.stop_warning:
                 print(found.stop_warning)
-    is_trusted = is_complete and not is_without_verdict and found.explained is not False
-    raise typer.Exit(0 if is_trusted else 1)
+
+    run.report(summary, show, is_complete and not is_without_verdict and found.explained is not False)
 
 
 def write_calibration(
     found: Calibrated, paths: Sequence[Path], frames: Sequence[Frame], extra: dict[str, Any], output: Path
 ) -> dict[str, Any]:
-    """Write the table and the figure of a calibration, and the object of its verdict; return the table."""
-    from wavesim.plots.calibrations import calibration_figure
-    from wavesim.plots.frames import save
-    from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT
-    from wavesim.runtime.result_files import new_results, write_json
+    """Write a calibration with the frames that it is from; return the table."""
     from wavesim.sensor.frame_sets import planes_of_frames
 
-    summary = {
+    of_frames = {
         "frames": [str(path) for path in paths],
         "planes_mm": [plane.distance_mm for plane in planes_of_frames(frames)],
-        **found.as_dict(),
-        **extra,
-        "versions": versions(),
     }
-    with new_results(output) as folder:
-        save(calibration_figure(found, found.misfit_of_noise), folder / "calibration.png")
-        write_json(summary, folder / FILE)
-    judged_path = output / JUDGED_OBJECT
-    with suppress(InputError, OSError):  # it only saves a reconstruction its time
-        if found.judged is None:  # one of an earlier run may lie there
-            judged_path.unlink(missing_ok=True)
-        else:
-            found.judged.write(judged_path)
-    return summary
+    return found.write(output, of_frames | extra)
 
 
 def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
@@ -203,7 +178,7 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
         + ("" if noise is None else f" (expected from noise alone: {noise:.4f})")
     )
     print(
-        f"{summary['mountings_tried']} benches tried; {summary['stopped_because']}; wrote {FILE}, "
+        f"{summary['mountings_tried']} benches tried; {summary['stopped_because']}; wrote {found.file}, "
         f"calibration.png{f' and {JUDGED_OBJECT}' if found.judged is not None else ''} to {output}"
     )
     if found.verdict is not None:

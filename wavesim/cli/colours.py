@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json
 from lensdesign.common.text import visible
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import frame_files
-from wavesim.cli.options import Output, print_warnings, warning_messages
-from wavesim.cli.runs import print_table, progress, versions
+from wavesim.cli.options import Output
+from wavesim.cli.runs import Run, print_table
 from wavesim.scene.settings import ColourSettings, FrameSetSettings
-
-if TYPE_CHECKING:
-    from wavesim.reconstruction.colours import FoundColours
 
 
 @most_used(
@@ -67,53 +63,13 @@ def colours(
     from wavesim.sensor.frame_sets import read_colour_frames
 
     remove_unfinished(output)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    run = Run(as_json, resumes=False)
+    with run.computing() as on_progress:
         lens = load_design(design)
         pictures = read_colour_frames(frame_files(frames, "FRAMES"), of_frames, lens=lens)
-        with progress(resumes=False) as on_progress:
-            found = reconstruct_colours(lens, pictures, settings, truth=truth, progress=on_progress)
-    messages = warning_messages(caught)
-    print_warnings(messages)
-    summary = {"design": lens.title or design.stem} | found.as_dict()
-    summary |= {"warnings": messages, "versions": versions()}
-    summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    if as_json:
-        print_json(summary)
-    else:
-        _print(summary, output)
-    raise typer.Exit(0 if found.explained else 1)
-
-
-def _write(found: FoundColours, summary: dict[str, Any], output: Path) -> list[str]:
-    """Write all files together, and return their names."""
-    from wavesim.fields.files import write_arrays, write_field
-    from wavesim.plots.colours import colours_figure, heights_figure
-    from wavesim.plots.frames import save
-    from wavesim.runtime.result_files import new_results, write_csv, write_json
-
-    inside = found.patch.inside
-    title = f"{summary['design']}\n{summary['kind']} object, {found.patch.stop_words}"
-    with new_results(output) as folder:
-        for one in found.transmissions:
-            write_field(one, folder / f"reconstruction_{one.wavelength_um:g}_um.npz")
-        save(colours_figure(found.transmissions, inside, title), folder / "reconstruction.png")
-        if found.heights is not None:
-            write_arrays(
-                folder / "heights.npz",
-                height_um=found.heights.height_um,
-                deviation_um=found.heights.deviation_um,
-                ambiguous=found.heights.ambiguous,
-                inside=inside,
-                pitch_um=1e3 * found.patch.grid.pitch_mm,
-            )
-            drawn = heights_figure(found.heights, found.transmissions[0], inside, title)
-            save(drawn, folder / "heights.png")
-        rows = [{"iteration": n, "misfit": value} for n, value in enumerate(found.misfit, start=1)]
-        write_csv(rows, folder / "convergence.csv")
-        names = sorted([*(path.name for path in folder.iterdir()), "colours.json"])
-        write_json(summary | {"files": names}, folder / "colours.json")
-    return names
+        found = reconstruct_colours(lens, pictures, settings, truth=truth, progress=on_progress)
+    summary = found.write(output, {"design": lens.title or design.stem, "warnings": run.messages})
+    run.report(summary, partial(_print, output=output), found.explained)
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:

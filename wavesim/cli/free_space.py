@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensdesign.common.console import print_json
-from wavesim.cli.options import print_warnings, warning_messages
-from wavesim.cli.runs import print_table, progress, versions
+from wavesim.cli.runs import Run, print_table
 from wavesim.scene.settings import FrameSetSettings, FreeSpaceSettings, ReconstructionSettings, SettingError
 
 if TYPE_CHECKING:
@@ -35,8 +34,8 @@ def in_free_space(
     from wavesim.sensor.frames import AssumedWarning
 
     _refuse_of_lenses(settings, of_lenses)
-    with progress(resumes=False) as on_progress, warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    run = Run(as_json, resumes=False)
+    with run.computing() as on_progress:
         warnings.simplefilter("ignore", AssumedWarning)
         found = reconstruct_free_space(
             read_frames(frames, of_frames, assumed=DEFAULT_FRAME_SETTINGS),
@@ -45,22 +44,14 @@ def in_free_space(
             aperture=free.numerical_aperture,
             progress=on_progress,
         )
-    messages = warning_messages(caught)
-    print_warnings(messages)
-    summary = {
+    more = {
         "frames": [str(path) for path in frames],
         "calibrated": free.calibrate,
         "aperture_stated": free.numerical_aperture is not None,
-        **found.as_dict(),
-        "predicted_mm": list(free.predict_mm or ()),
-        "warnings": messages,
-        "versions": versions(),
+        "warnings": run.messages,
     }
-    summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    if as_json:
-        print_json(summary)
-    else:
-        _print(found, summary, output)
+    summary = found.write(output, more, free.predict_mm or ())
+    run.report(summary, partial(_print, found, output=output))
 
 
 def _refuse_of_lenses(settings: ReconstructionSettings, of_lenses: Mapping[str, object]) -> None:
@@ -71,44 +62,6 @@ def _refuse_of_lenses(settings: ReconstructionSettings, of_lenses: Mapping[str, 
             named.append(name)
     if named:
         raise SettingError(f"{{{named[0]}}}: cannot be used with {{free_space}}, which has no lens")
-
-
-def _write(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> list[str]:
-    """Write all files together, and return their names."""
-    import numpy as np
-
-    from wavesim.fields.files import write_arrays, write_field
-    from wavesim.plots.frames import save
-    from wavesim.plots.objects import object_figure
-    from wavesim.plots.pyramid import write_pyramid
-    from wavesim.runtime.result_files import new_results, write_csv, write_json
-
-    pitch_um = 1e3 * found.field.grid.pitch_mm
-    with new_results(output) as folder:
-        write_field(found.field, folder / "reconstruction.npz", centre_x_mm=0.0, centre_y_mm=0.0)
-        for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
-            write_pyramid(found.field.values, folder / f"{name}.tif", pitch_um, (quantity,))
-        everywhere = np.ones(found.field.grid.shape, bool)
-        save(object_figure(found.field, everywhere, "free space, z = 0"), folder / "reconstruction.png")
-        write_csv(
-            [{"iteration": n, "misfit": value} for n, value in enumerate(found.misfit, 1)],
-            folder / "convergence.csv",
-        )
-        if summary["predicted_mm"]:
-            amplitudes = [found.amplitude(distance) for distance in summary["predicted_mm"]]
-            for distance, amplitude in zip(summary["predicted_mm"], amplitudes, strict=True):
-                write_pyramid(amplitude, folder / f"predicted_{distance:g}_mm.tif", pitch_um, ("amplitude",))
-            write_arrays(
-                folder / "predicted.npz",
-                amplitude=np.array(amplitudes),
-                plane_distance_mm=summary["predicted_mm"],
-                pitch_um=pitch_um,
-                wavelength_um=found.field.wavelength_um,
-            )
-        write_json(summary, folder / "calibration.json")
-        names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
-        write_json(summary | {"files": names}, folder / "reconstruction.json")
-    return names
 
 
 def _print(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> None:

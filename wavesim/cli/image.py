@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,8 +14,9 @@ from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_bench_state
-from wavesim.cli.options import Output, print_warnings, settings_text, warning_messages
-from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
+from wavesim.cli.options import Output, settings_text
+from wavesim.cli.runs import Run, print_table
+from wavesim.runtime.result import versions
 from wavesim.scene.patches import OBJECT_FINENESS
 from wavesim.scene.settings import ImageSettings
 from wavesim.targets.patch import layer_file
@@ -138,21 +138,25 @@ def _recorded(
     from wavesim.sensor.imaging import image as record
     from wavesim.sensor.recording import drop_parts
 
-    on_estimate = None if as_json else memory_teller(output)
-    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    run = Run(as_json)
+    with run.computing() as on_progress:
         imaged = record(
-            lens, object_, settings, state=state, folder=output, progress=on_progress, on_estimate=on_estimate
+            lens,
+            object_,
+            settings,
+            state=state,
+            folder=output,
+            progress=on_progress,
+            on_estimate=run.tells_memory(output),
         )
-    messages = warning_messages(caught)
-    print_warnings(messages)
-    summary = {"design": name} | _summary(imaged) | {"warnings": messages}
+    summary = {"design": name} | _summary(imaged) | {"warnings": run.messages}
     summary["files"] = [str(output / file) for file in _write(imaged, summary, output)]
     drop_parts(output)
     return summary
 
 
 def _summary(imaged: Imaged) -> dict[str, Any]:
+    from wavesim.scene.engine import engine_summary
     from wavesim.scene.state_files import STATE, state_table
 
     patch, recording, settings = imaged.patch, imaged.recording, imaged.settings

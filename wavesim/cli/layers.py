@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import typer
-
-from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_bench_state, with_calibrated_stop
-from wavesim.cli.options import print_warnings, warning_messages
-from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
-from wavesim.scene.settings import (
-    STOP_ORIGINS,
-    FrameSetSettings,
-    LayerReconstructionSettings,
-    ReconstructionSettings,
-)
-
-if TYPE_CHECKING:
-    from wavesim.reconstruction.layer_reconstruction import FoundLayers
+from wavesim.cli.runs import Run, print_table
+from wavesim.scene.settings import FrameSetSettings, LayerReconstructionSettings, ReconstructionSettings
 
 
 def in_layers(
@@ -46,8 +34,8 @@ def in_layers(
 
     lens = load_design(design)
     stop_from, stop_doubt, settings = with_calibrated_stop(calibration, settings)
-    with progress(resumes=False) as on_progress, warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    run = Run(as_json, resumes=False)
+    with run.computing() as on_progress:
         found = reconstruct_layers(
             lens,
             read_frames(frames, of_frames, lens=lens),
@@ -58,60 +46,17 @@ def in_layers(
             undetermined=of_layers.undetermined_layers,
             folder=output,
             progress=on_progress,
-            on_estimate=None if as_json else memory_teller(output),
+            on_estimate=run.tells_memory(output),
         )
     if stop_doubt:
         found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
-    messages = warning_messages(caught)
-    print_warnings(messages)
-    summary = {
+    more = {
         "design": lens.title or design.stem,
-        **found.as_dict(),
         "field_stop_from": stop_from or settings.field_stop_from,
-        "warnings": messages,
-        "engine": engine_summary(found.engine, found.predicted_error),
-        "memory": found.memory.as_dict(),
-        "versions": versions(),
+        "warnings": run.messages,
     }
-    summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    if as_json:
-        print_json(summary)
-    else:
-        _print(summary, output)
-    raise typer.Exit(0 if found.verdict.explained else 1)
-
-
-def _write(found: FoundLayers, summary: dict[str, Any], output: Path) -> list[str]:
-    """Write all files together, and return their names."""
-    from wavesim.fields.files import write_field
-    from wavesim.plots.frames import residual_figure, save
-    from wavesim.plots.objects import layers_figure
-    from wavesim.plots.pyramid import write_pyramid
-    from wavesim.runtime.result_files import new_results, write_csv, write_json
-    from wavesim.targets.patch import layer_file
-
-    pitch_um = 1e3 * found.patch.grid.pitch_mm
-    distances = [plane.distance_mm for plane in found.planes]
-    sensor_um = 1e3 * found.engine.scene.exit_grid.pitch_mm
-    stop = f"{found.patch.stop_words} ({STOP_ORIGINS[summary['field_stop_from']]})"
-    light = f"{found.patch.wavelength_um:g} µm, {stop}"
-    title = f"{summary['design']}\n{light}: {summary['kind']} layers, {summary['iterations']} iterations"
-    with new_results(output) as folder:
-        for index, layer in enumerate(found.transmissions, start=1):
-            file = layer_file(index)
-            write_field(layer, folder / file, centre_x_mm=0.0, centre_y_mm=0.0)
-            for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
-                picture = folder / f"{Path(file).stem}_{name}.tif"
-                write_pyramid(layer.values, picture, pitch_um, (quantity,))
-        drawn = layers_figure(found.layers_um, found.transmissions, found.inside, title, truth=found.true)
-        save(drawn, folder / "reconstruction.png")
-        drawn = residual_figure(found.residual_maps, found.recorded, distances, sensor_um, summary["design"])
-        save(drawn, folder / "residuals.png")
-        rows = [{"iteration": step, "misfit": value} for step, value in enumerate(found.curve, 1)]
-        write_csv(rows, folder / "convergence.csv")
-        names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
-        write_json(summary | {"files": names}, folder / "reconstruction.json")
-    return names
+    summary = found.write(output, more)
+    run.report(summary, partial(_print, output=output), found.verdict.explained)
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.files.design import load_design
-from wavesim.cli.options import print_warnings, validate_picture_request, warning_messages
-from wavesim.cli.runs import print_table, progress
+from wavesim.cli.options import validate_picture_request
+from wavesim.cli.runs import Run, print_table
 from wavesim.scene.settings import PlanSettings
 
 if TYPE_CHECKING:
@@ -58,27 +56,26 @@ def plan(
     the fewest frames with which all objects reach --correlation. With --object, an example of what will be
     imaged is tried as well: its prediction is a single value, and decides. The assumptions are listed.
     """
+    from wavesim.calibration.plan_figure import plans_figure
     from wavesim.calibration.planning import plan_frames
     from wavesim.plots.frames import save
-    from wavesim.plots.plans import plans_figure
 
     validate_picture_request(output)
     lens = load_design(design)
-    with progress(resumes=False) as on_progress, warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    run = Run(as_json, resumes=False)
+    with run.computing() as on_progress:
         found = plan_frames(lens, settings, example=object_, progress=on_progress)
-    messages = warning_messages(caught)
-    print_warnings(messages)
     title = lens.title or design.stem
     if output is not None:
         save(plans_figure(found, f"{title}\n{settings.kind} object, {_twin(found)}"), output, dpi=120)
-    if as_json:
-        print_json(_summary(found, title, messages))
-        return
-    print(visible(title))
-    _print(found)
-    if output is not None:
-        typer.echo(f"wrote {output}")
+
+    def show(summary: dict[str, Any]) -> None:
+        print(visible(title))
+        _print(found)
+        if output is not None:
+            typer.echo(f"wrote {output}")
+
+    run.report(_summary(found, title, run.messages), show)
 
 
 def _summary(found: Plans, title: str, messages: list[str]) -> dict[str, Any]:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Json
 from lensdesign.common.text import visible
@@ -21,8 +20,8 @@ from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors, with_calibrated_stop
 from wavesim.cli.free_space import in_free_space
 from wavesim.cli.layers import in_layers
-from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings, warning_messages
-from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
+from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings
+from wavesim.cli.runs import Run, print_table, progress
 from wavesim.scene.settings import (
     STOP_ORIGINS,
     CalibrationSettings,
@@ -43,12 +42,10 @@ SUMMARY = "reconstruction.json"
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibration_result import Calibrated
-    from wavesim.fields.field import Field
     from wavesim.reconstruction.calibrated_bench import CalibratedBench
     from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
     from wavesim.sensor.frames import Frame
-    from wavesim.targets.usaf import UsafElement
 
 
 @most_used(
@@ -145,17 +142,17 @@ def reconstruct(
             as_json=as_json,
         )
         return
-    tell_memory = memory_teller(output)
+    run = Run(as_json)
+    tell_memory = run.tells_memory(output)
 
     def on_estimate(memory: Memory) -> None:
-        print_warnings(warning_messages(caught))
-        if not as_json:
+        print_warnings(run.messages)
+        if tell_memory is not None:
             tell_memory(memory)
 
     # Subfolder of the results for the calibration by --calibrate.
     subfolder = "calibration"
-    with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with _no_empty_folder(output), run.warnings():
         lens = load_design(design)
         bench = None if calibration is None else read_bench(calibration, lens)
         stop_from, stop_doubt, settings = with_calibrated_stop(calibration, settings)
@@ -179,23 +176,20 @@ def reconstruct(
 
         def write(found: FoundObject) -> None:
             """Write an object that is not judged yet."""
-            summary = summarize(found)
             with warnings.catch_warnings():  # those of plots are no warnings about the result
                 warnings.simplefilter("ignore")
-                summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-            summaries.append(summary)
+                summaries.append(with_doubt(found).write(output, more(found)))
 
-        def summarize(found: FoundObject) -> dict[str, Any]:
-            if stop_doubt:
-                doubt = Finding(STOP_CAUSE, stop_doubt)
-                found = replace(found, verdict=with_finding(found.verdict, doubt))
-            summary = {"design": lens.title or design.stem} | found.as_dict()
-            summary["field_stop_from"] = stop_from or summary["field_stop_from"]
-            return summary | {
-                "warnings": warning_messages(caught),
-                "engine": engine_summary(found.engine, found.predicted_error),
-                "memory": found.memory.as_dict(),
-                "versions": versions(),
+        def with_doubt(found: FoundObject) -> FoundObject:
+            if not stop_doubt:
+                return found
+            return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
+
+        def more(found: FoundObject) -> dict[str, Any]:
+            return {
+                "design": lens.title or design.stem,
+                "field_stop_from": stop_from or found.settings.field_stop_from,
+                "warnings": run.messages,
             }
 
         try:
@@ -217,18 +211,14 @@ def reconstruct(
                 raise
             summary = summaries[0]
         else:
-            summary = summaries[0] | summarize(found)
+            summary = summaries[0] | with_doubt(found).as_dict() | more(found)
             _write_summary(summary, output)
     if summary["verdict"]["judged"]:
         searches = (output / subfolder / name for name in SEARCH_CHECKPOINTS)
         for path in (output / CHECKPOINT, output / STOP_TRIALS, *searches):
             with suppress(OSError):  # the results are written
                 path.unlink(missing_ok=True)
-    if as_json:
-        print_json(summary)
-    else:
-        _print(summary, output)
-    raise typer.Exit(0 if summary["verdict"]["explained"] else 1)
+    run.report(summary, partial(_print, output=output), summary["verdict"]["explained"])
 
 
 def _calibrated(
@@ -297,50 +287,6 @@ def _no_empty_folder(folder: Path) -> Iterator[None]:
                 folder.rmdir()
 
 
-def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[str]:
-    """Write all files together, and return their names."""
-    import numpy as np
-
-    from wavesim.plots.frames import curves_figure, residual_figure, save
-    from wavesim.plots.objects import object_figure
-    from wavesim.runtime.result_files import new_results, write_csv, write_json
-
-    transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
-    distances = [plane.distance_mm for plane in found.planes]
-    what = "CC (A6)" if summary["method"] == "paper" else "misfit"
-    stop = f"{found.patch.stop_words} ({STOP_ORIGINS[summary['field_stop_from']]})"
-    light = f"{found.patch.wavelength_um:g} µm, {stop}"
-    how = f"{light}: method {summary['method']}, {summary['kind']} object, {summary['iterations']} iterations"
-    title = f"{summary['design']}\n{how}"
-    steps = range(1, len(found.curve) + 1)
-    curves: dict[str, Any] = {"misfit of amplitudes (relative)": (steps, found.curve, "iteration")}
-    # Pictures are drawn by one thread, files packed meanwhile by another.
-    with new_results(output) as folder, ThreadPoolExecutor(1) as packing:
-        packed = packing.submit(_pack, transmission, folder)
-        elements = tuple(element for chart in found.charts for element in chart)
-        finest = _finest(found, summary["usaf"])
-        drawn = object_figure(
-            transmission, found.inside, title, truth=found.true, elements=elements, profile=finest
-        )
-        save(drawn, folder / "reconstruction.png")
-        drawn = residual_figure(found.residual_maps, found.recorded, distances, pixel_um, summary["design"])
-        save(drawn, folder / "residuals.png")
-        rows = [{"iteration": step, what: value} for step, value in zip(steps, found.curve, strict=True)]
-        write_csv(rows, folder / "convergence.csv")
-        if what == "CC (A6)":
-            curves = {"1 - CC (A6)": (steps, np.maximum(1.0 - np.asarray(found.curve), 1e-9), "iteration")}
-        if found.focus is not None:
-            curve = (1e3 * found.focus.distances_mm, found.focus.svfg)
-            curves["SVFG"] = (*curve, "distance (µm)")
-            rows = [{"distance_um": at, "svfg": value} for at, value in zip(*curve, strict=True)]
-            write_csv(rows, folder / "svfg.csv")
-        save(curves_figure(curves, title), folder / "curves.png")
-        packed.result()
-        names = sorted([*(path.name for path in folder.iterdir()), SUMMARY])
-        write_json(summary | {"files": names}, folder / SUMMARY)
-    return names
-
-
 def _write_summary(summary: dict[str, Any], output: Path) -> None:
     """Write the summary again, with the verdict."""
     from wavesim.runtime.result_files import new_results, write_json
@@ -348,30 +294,6 @@ def _write_summary(summary: dict[str, Any], output: Path) -> None:
     names = [Path(path).name for path in summary["files"]]
     with new_results(output) as folder:
         write_json(summary | {"files": names}, folder / SUMMARY)
-
-
-def _pack(transmission: Field, folder: Path) -> None:
-    """Write the reconstructed object."""
-    from wavesim.fields.files import write_field
-    from wavesim.plots.pyramid import write_pyramid
-
-    x_mm, y_mm = transmission.grid.centre_mm
-    for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
-        pitch_um = 1e3 * transmission.grid.pitch_mm
-        write_pyramid(transmission.values, folder / f"{name}.tif", pitch_um, (quantity,))
-    write_field(transmission, folder / "reconstruction.npz", centre_x_mm=x_mm, centre_y_mm=y_mm)
-
-
-def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
-    """Return the finest resolved element of the chart, or else its widest element."""
-    from wavesim.targets.region import holds
-
-    if not found.charts:
-        return None
-    there = [one for one in found.charts[0] if holds(found.transmission.grid, one.outline)]
-    finest = usaf.get("smallest_resolved") or {}
-    resolved = [one for one in there if one.line_width_um == finest.get("line_width_um")]
-    return next(iter([*resolved, *there]), None)
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:

@@ -1,21 +1,66 @@
-"""Output of commands: progress, tables, memory estimates and summaries."""
+"""The runner of all commands that compute a result, and what they print: progress, tables, memory."""
 
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensdesign.common.console import print_whole
+import typer
+
+from lensdesign.common.console import print_json, print_whole
 from lensdesign.common.progress import progress_count
-from lensdesign.common.text import finite_or_none, known_text
+from lensdesign.common.text import known_text
+from wavesim.cli.options import print_warnings, warning_messages
 
 if TYPE_CHECKING:
     from wavesim.runtime.memory import Memory
-    from wavesim.scene.engine import Engine
     from wavesim.sensor.recording import Progress
+
+
+class Run:
+    """A run of a command: progress and warnings while it computes; then its report and exit status."""
+
+    def __init__(self, as_json: bool, *, resumes: bool = True) -> None:
+        self.as_json, self.resumes = as_json, resumes
+        self._caught: list[warnings.WarningMessage] = []
+
+    @property
+    def messages(self) -> list[str]:
+        """Warnings so far, each of them once."""
+        return warning_messages(self._caught)
+
+    def tells_memory(self, folder: Path) -> Callable[[Memory], None] | None:
+        """Return a callback that prints the memory estimate to standard error; None for JSON."""
+        return None if self.as_json else lambda memory: print(memory.line(folder), file=sys.stderr)
+
+    @contextmanager
+    def warnings(self) -> Iterator[None]:
+        """Collect the warnings of what is computed."""
+        with warnings.catch_warnings(record=True) as self._caught:
+            warnings.simplefilter("always")
+            yield
+
+    @contextmanager
+    def computing(self) -> Iterator[Progress]:
+        """Show the progress, collect warnings, and print them at the end; yield the callback of progress."""
+        with progress(resumes=self.resumes) as on_progress, self.warnings():
+            yield on_progress
+        print_warnings(self.messages)
+
+    def report(
+        self, summary: dict[str, Any], show: Callable[[dict[str, Any]], None], is_met: bool = True
+    ) -> None:
+        """Print the result as JSON, or by `show`; the exit status is 1 if it does not meet what is judged."""
+        if self.as_json:
+            print_json(summary)
+        else:
+            show(summary)
+        if not is_met:
+            raise typer.Exit(1)
 
 
 @contextmanager
@@ -68,27 +113,3 @@ def print_table(
     for row in rows:
         table.add_row(*map(known_text, row))
     print_whole(table)
-
-
-def memory_teller(folder: Path) -> Callable[[Memory], None]:
-    """Return a callback that prints the memory estimate of a run to standard error."""
-    return lambda memory: print(memory.line(folder), file=sys.stderr)
-
-
-def engine_summary(engine: Engine, predicted_error: float) -> dict[str, Any]:
-    """Return name, settings and predicted error of an engine for JSON."""
-    return {
-        "name": engine.name,
-        "settings": engine.settings(),
-        "predicted_error": finite_or_none(predicted_error),
-    }
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that results depend on."""
-    import platform
-    from importlib.metadata import version
-
-    return {"python": platform.python_version()} | {
-        name: version(name) for name in ("transferlens", "numpy", "scipy", "finufft")
-    }

@@ -3,18 +3,15 @@ from .layers import PictureLayer, field_layers, frame_layer
 from .objects import object_figure
 from .page import write_zoom_page
 from .pyramid import write_pyramid
-from .reconstructions import convergence_figure, starts_figure
 
 __all__ = [
     "PictureLayer",
-    "convergence_figure",
     "curves_figure",
     "field_layers",
     "frame_layer",
     "frames_figure",
     "object_figure",
     "residual_figure",
-    "starts_figure",
     "write_pyramid",
     "write_zoom_page",
 ]

@@ -7,6 +7,7 @@ from .memory import reconstruction_bytes, retrieval_bytes
 from .object_solver import Reconstructed, prox_tv, reconstruct
 from .phase_retrieval import Retrieved, agreement, retrieve
 from .refocusing import Refocusing, refocus_field, svfg
+from .retrieval_figures import convergence_figure, starts_figure
 
 __all__ = [
     "FoundLayers",
@@ -18,6 +19,7 @@ __all__ = [
     "Uncertainty",
     "UndeterminedError",
     "agreement",
+    "convergence_figure",
     "find_layers",
     "prox_tv",
     "reconstruct",
@@ -27,6 +29,7 @@ __all__ = [
     "refocus_field",
     "retrieval_bytes",
     "retrieve",
+    "starts_figure",
     "svfg",
     "uncertainty",
 ]

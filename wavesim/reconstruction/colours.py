@@ -17,7 +17,7 @@ it is above 1, multiplies the deviations: residuals that noise does not explain 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -32,11 +32,14 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Field
+from wavesim.fields.files import write_arrays, write_field
 from wavesim.forward.channel_model import Channel, ChannelModel, Response
 from wavesim.forward.step_noise import noise_of_steps
 from wavesim.metrics.goodness_of_fit import LIMIT, PlaneFit, plane_verdicts
 from wavesim.metrics.plane_residuals import PlaneResidual
 from wavesim.metrics.result_quality import plane_metrics, truth_metrics
+from wavesim.plots.frames import save
+from wavesim.reconstruction.colour_figures import colours_figure, heights_figure
 from wavesim.reconstruction.diagnostics.held_out import HeldOut, hold_out
 from wavesim.reconstruction.heights import (
     Heights,
@@ -60,7 +63,8 @@ from wavesim.reconstruction.resumable import state_of, state_saver
 from wavesim.reconstruction.stop_rule import FAR, STOPPED, Stop
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.checkpoint import CheckpointSeries
-from wavesim.runtime.result import Result
+from wavesim.runtime.result import WritableResult
+from wavesim.runtime.result_files import write_csv
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import ColourSettings, Kind, SettingError
@@ -102,7 +106,7 @@ class ColourPlane(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FoundColours(Result):
+class FoundColours(WritableResult):
     """An object at several wavelengths, found from frames, with its assessment.
 
     Attributes
@@ -151,7 +155,7 @@ class FoundColours(Result):
     ((0.532, 0.635), 2, False)
     """
 
-    heading = "Object at several wavelengths"
+    heading, file = "Object at several wavelengths", "colours.json"
 
     settings: ColourSettings
     patch: Patch
@@ -293,6 +297,26 @@ class FoundColours(Result):
             "truth": [dict(one) for one in self.truth],
             "heights": heights,
         }
+
+    def _write_files(self, folder: Path, summary: Mapping[str, Any]) -> None:
+        inside = self.patch.inside
+        title = f"{summary.get('design', '')}\n{summary['kind']} object, {self.patch.stop_words}".lstrip()
+        for one in self.transmissions:
+            write_field(one, folder / f"reconstruction_{one.wavelength_um:g}_um.npz")
+        save(colours_figure(self.transmissions, inside, title), folder / "reconstruction.png")
+        if self.heights is not None:
+            write_arrays(
+                folder / "heights.npz",
+                height_um=self.heights.height_um,
+                deviation_um=self.heights.deviation_um,
+                ambiguous=self.heights.ambiguous,
+                inside=inside,
+                pitch_um=1e3 * self.patch.grid.pitch_mm,
+            )
+            drawn = heights_figure(self.heights, self.transmissions[0], inside, title)
+            save(drawn, folder / "heights.png")
+        rows = [{"iteration": n, "misfit": value} for n, value in enumerate(self.misfit, start=1)]
+        write_csv(rows, folder / "convergence.csv")
 
 
 def reconstruct_colours(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,17 +14,23 @@ from numpy.typing import NDArray
 
 from lensdesign.analysis.oversampling import Oversampling
 from wavesim.fields.field import Field, Grid
+from wavesim.fields.files import write_field
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
 from wavesim.metrics.result_quality import chart_metrics, plane_metrics
+from wavesim.plots.frames import curves_figure, residual_figure, save
+from wavesim.plots.objects import object_figure
+from wavesim.plots.pyramid import write_pyramid
 from wavesim.reconstruction.oversampling import measured_oversampling
 from wavesim.runtime.memory import Memory
-from wavesim.runtime.result import Result
-from wavesim.scene.engine import Engine
+from wavesim.runtime.result import WritableResult
+from wavesim.runtime.result_files import write_csv
+from wavesim.scene.engine import Engine, engine_summary
 from wavesim.scene.scene import diffraction_limit_um
 from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings
 from wavesim.sensor.frame_sets import PlaneFrames
 from wavesim.sensor.measurement import Measurement
 from wavesim.targets.patch import Patch
+from wavesim.targets.region import holds
 from wavesim.targets.usaf import UsafElement
 
 Array = NDArray[np.floating[Any]]
@@ -36,7 +45,7 @@ class Focus(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FoundObject(Result):
+class FoundObject(WritableResult):
     """The object found from frames, and the quality of the result.
 
     :func:`wavesim.reconstruct_frames` returns it.
@@ -97,7 +106,7 @@ class FoundObject(Result):
     True
     """
 
-    heading = "Object behind frames"
+    heading, file = "Object behind frames", "reconstruction.json"
 
     settings: ReconstructionSettings
     patch: Patch
@@ -149,6 +158,7 @@ class FoundObject(Result):
         """Return the quality of the result for JSON: planes, focus, true object and charts."""
         settings, pitch_mm = self.settings, self.patch.grid.pitch_mm
         return {
+            "design": self.engine.scene.lens.title,
             "method": settings.method,
             "kind": settings.kind if settings.method == "object" else "complex",
             "start": settings.first,
@@ -184,7 +194,41 @@ class FoundObject(Result):
             "refocus_um": None if self.focus is None else 1e3 * self.focus.distance_mm,
             "truth": self.truth,
             "usaf": self._chart_metrics(),
+            "engine": engine_summary(self.engine, self.predicted_error),
+            "memory": self.memory.as_dict(),
         }
+
+    def _write_files(self, folder: Path, summary: Mapping[str, Any]) -> None:
+        transmission, pixel_um = self.transmission, 1e3 * self.engine.scene.exit_grid.pitch_mm
+        distances = [plane.distance_mm for plane in self.planes]
+        what = "CC (A6)" if summary["method"] == "paper" else "misfit"
+        stop = f"{self.patch.stop_words} ({STOP_ORIGINS[summary['field_stop_from']]})"
+        how = f"method {summary['method']}, {summary['kind']} object, {summary['iterations']} iterations"
+        title = f"{summary['design']}\n{self.patch.wavelength_um:g} µm, {stop}: {how}"
+        steps = range(1, len(self.curve) + 1)
+        curves: dict[str, Any] = {"misfit of amplitudes (relative)": (steps, self.curve, "iteration")}
+        # Pictures are drawn by one thread, files packed meanwhile by another.
+        with ThreadPoolExecutor(1) as packing:
+            packed = packing.submit(_pack, transmission, folder)
+            elements = tuple(element for chart in self.charts for element in chart)
+            finest = _finest_element(self, summary["usaf"])
+            drawn = object_figure(
+                transmission, self.inside, title, truth=self.true, elements=elements, profile=finest
+            )
+            save(drawn, folder / "reconstruction.png")
+            drawn = residual_figure(self.residual_maps, self.recorded, distances, pixel_um, summary["design"])
+            save(drawn, folder / "residuals.png")
+            rows = [{"iteration": step, what: value} for step, value in zip(steps, self.curve, strict=True)]
+            write_csv(rows, folder / "convergence.csv")
+            if what == "CC (A6)":
+                curves = {"1 - CC (A6)": (steps, np.maximum(1.0 - np.asarray(self.curve), 1e-9), "iteration")}
+            if self.focus is not None:
+                curve = (1e3 * self.focus.distances_mm, self.focus.svfg)
+                curves["SVFG"] = (*curve, "distance (µm)")
+                rows = [{"distance_um": at, "svfg": value} for at, value in zip(*curve, strict=True)]
+                write_csv(rows, folder / "svfg.csv")
+            save(curves_figure(curves, title), folder / "curves.png")
+            packed.result()
 
     def _chart_metrics(self) -> dict[str, Any]:
         """Return contrast and finest resolved element of each chart."""
@@ -223,3 +267,22 @@ def _region(shown: Grid) -> list[float]:
     """Return x and y of the center, width and height of the displayed samples, in mm."""
     (half_y, half_x), (x, y) = shown.half_widths_mm, shown.centre_mm
     return [x, y, 2.0 * half_x, 2.0 * half_y]
+
+
+def _pack(transmission: Field, folder: Path) -> None:
+    """Write the reconstructed object."""
+    x_mm, y_mm = transmission.grid.centre_mm
+    for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
+        pitch_um = 1e3 * transmission.grid.pitch_mm
+        write_pyramid(transmission.values, folder / f"{name}.tif", pitch_um, (quantity,))
+    write_field(transmission, folder / "reconstruction.npz", centre_x_mm=x_mm, centre_y_mm=y_mm)
+
+
+def _finest_element(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
+    """Return the finest resolved element of the chart, or else its widest element."""
+    if not found.charts:
+        return None
+    there = [one for one in found.charts[0] if holds(found.transmission.grid, one.outline)]
+    finest = usaf.get("smallest_resolved") or {}
+    resolved = [one for one in there if one.line_width_um == finest.get("line_width_um")]
+    return next(iter([*resolved, *there]), None)

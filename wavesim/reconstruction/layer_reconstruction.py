@@ -12,7 +12,7 @@ Below a bound, only assumptions on the layers, such as few sharp edges, can sele
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,12 @@ from lensdesign.analysis.oversampling import UNKNOWNS_OF_KIND, Oversampling, ove
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Field
+from wavesim.fields.files import write_field
 from wavesim.metrics.goodness_of_fit import Finding, GoodnessOfFit, verdict
 from wavesim.metrics.result_quality import plane_metrics, truth_metrics
+from wavesim.plots.frames import residual_figure, save
+from wavesim.plots.objects import layers_figure
+from wavesim.plots.pyramid import write_pyramid
 from wavesim.reconstruction.assessment import plane_residuals
 from wavesim.reconstruction.layered import Layers, find_layers
 from wavesim.reconstruction.problem import (
@@ -36,9 +40,10 @@ from wavesim.reconstruction.problem import (
 )
 from wavesim.runtime.checkpoint import CheckpointSeries, key_of
 from wavesim.runtime.memory import Memory
-from wavesim.runtime.result import Result
-from wavesim.scene.engine import Engine
-from wavesim.scene.settings import ReconstructionSettings, SettingError
+from wavesim.runtime.result import WritableResult
+from wavesim.runtime.result_files import write_csv
+from wavesim.scene.engine import Engine, engine_summary
+from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings, SettingError
 from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.frame_sets import PlaneFrames, recorded_planes
 from wavesim.sensor.frames import Frame
@@ -75,7 +80,7 @@ UNUSED_SETTINGS = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FoundLayers(Result):
+class FoundLayers(WritableResult):
     """The layers found from frames, and the quality of the result.
 
     :func:`wavesim.reconstruct_layers` returns it.
@@ -131,7 +136,7 @@ class FoundLayers(Result):
     (2, 2, 2)
     """
 
-    heading = "Layers behind frames"
+    heading, file = "Layers behind frames", "reconstruction.json"
 
     settings: ReconstructionSettings
     layers_um: tuple[float, ...]
@@ -155,6 +160,7 @@ class FoundLayers(Result):
     def as_dict(self) -> dict[str, Any]:
         """Return the quality of the result for JSON."""
         return {
+            "design": self.engine.scene.lens.title,
             "kind": self.settings.kind,
             "layers": [
                 {"distance_um": distance, "truth": self.truth[index] if self.truth else {}}
@@ -180,7 +186,30 @@ class FoundLayers(Result):
             "field_stop_at_mm": list(self.patch.field_stop_at_mm),
             "object_pitch_um": 1e3 * self.patch.grid.pitch_mm,
             "samples": self.patch.grid.shape[0],
+            "field_stop_from": self.settings.field_stop_from,
+            "engine": engine_summary(self.engine, self.predicted_error),
+            "memory": self.memory.as_dict(),
         }
+
+    def _write_files(self, folder: Path, summary: Mapping[str, Any]) -> None:
+        pitch_um = 1e3 * self.patch.grid.pitch_mm
+        distances = [plane.distance_mm for plane in self.planes]
+        sensor_um = 1e3 * self.engine.scene.exit_grid.pitch_mm
+        stop = f"{self.patch.stop_words} ({STOP_ORIGINS[summary['field_stop_from']]})"
+        light = f"{self.patch.wavelength_um:g} µm, {stop}"
+        title = f"{summary['design']}\n{light}: {summary['kind']} layers, {summary['iterations']} iterations"
+        for index, layer in enumerate(self.transmissions, start=1):
+            file = layer_file(index)
+            write_field(layer, folder / file, centre_x_mm=0.0, centre_y_mm=0.0)
+            for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
+                picture = folder / f"{Path(file).stem}_{name}.tif"
+                write_pyramid(layer.values, picture, pitch_um, (quantity,))
+        drawn = layers_figure(self.layers_um, self.transmissions, self.inside, title, truth=self.true)
+        save(drawn, folder / "reconstruction.png")
+        drawn = residual_figure(self.residual_maps, self.recorded, distances, sensor_um, summary["design"])
+        save(drawn, folder / "residuals.png")
+        rows = [{"iteration": step, "misfit": value} for step, value in enumerate(self.curve, 1)]
+        write_csv(rows, folder / "convergence.csv")
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.polarization import is_vector
@@ -469,3 +470,12 @@ class Tiled(Engine):
         InputError
             If the field has another grid or wavelength than the scene, or values that are not finite.
         """
+
+
+def engine_summary(engine: Engine, predicted_error: float) -> dict[str, Any]:
+    """Return name, settings and predicted error of an engine for JSON."""
+    return {
+        "name": engine.name,
+        "settings": engine.settings(),
+        "predicted_error": finite_or_none(predicted_error),
+    }

@@ -14,12 +14,11 @@ from wavesim_command import frames_and_design, write_frames
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.calibration import calibration_problem, frame_calibration
+from wavesim.calibration import calibration_problem, calibration_result, frame_calibration
 from wavesim.calibration.calibration_result import field_stop_of, read_calibration
 from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
-from wavesim.plots import calibrations
 from wavesim.reconstruction import frame_reconstruction
 from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT, CalibratedBench
 
@@ -152,7 +151,7 @@ def test_an_interrupted_search_goes_on(
 
 
 @pytest.mark.parametrize(
-    "part", [(frame_calibration, "reconstruct_frames"), (calibrations, "calibration_figure")]
+    "part", [(frame_calibration, "reconstruct_frames"), (calibration_result, "_calibration_figure")]
 )
 def test_an_interrupt_after_the_search_keeps_the_bench(
     wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path, part: tuple[Any, str]

@@ -7,8 +7,8 @@ import pytest
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
-from wavesim.plots.reconstructions import convergence_figure, starts_figure
 from wavesim.reconstruction.phase_retrieval import Retrieved, stagnation
+from wavesim.reconstruction.retrieval_figures import convergence_figure, starts_figure
 
 GRID = Grid((24, 32), 1e-3, 0.0, (0.01, 0.0))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wavesim.fields.field import Field, Grid
-from wavesim.plots.colours import colours_figure, heights_figure
+from wavesim.reconstruction.colour_figures import colours_figure, heights_figure
 from wavesim.reconstruction.heights import Heights
 
 GRID = Grid((12, 12), 1e-3, -1.0)
