@@ -54,21 +54,25 @@ def colours(
 
     Frames may be recorded one wavelength after the other, or at once on a monochrome sensor or behind colour
     filters; they state which. The exit status is 0 if the frames are explained within their noise, and 1 if
-    they are not. A run has no checkpoint: after an interrupt, the same command starts from the beginning.
+    they are not. After an interrupt, the same command continues where it was, and finds the same object.
 
     Example: wavesim colours lens.toml frames --patch-mm 0.1 -o object
     """
     from wavesim.reconstruction.colours import reconstruct_colours
+    from wavesim.runtime.checkpoint import drop_series
     from wavesim.runtime.result_files import remove_unfinished
     from wavesim.sensor.frame_sets import read_colour_frames
 
     remove_unfinished(output)
-    run = Run(as_json, resumes=False)
+    run = Run(as_json, folder=output)
     with run.computing() as on_progress:
         lens = load_design(design)
         pictures = read_colour_frames(frame_files(frames, "FRAMES"), of_frames, lens=lens)
-        found = reconstruct_colours(lens, pictures, settings, truth=truth, progress=on_progress)
+        found = reconstruct_colours(
+            lens, pictures, settings, truth=truth, folder=output, progress=on_progress
+        )
     summary = found.write(output, {"design": lens.title or design.stem, "warnings": run.messages})
+    drop_series(output)
     run.report(summary, partial(_print, output=output), found.explained)
 
 

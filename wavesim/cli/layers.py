@@ -30,11 +30,12 @@ def in_layers(
     from wavesim.metrics.goodness_of_fit import Finding, with_finding
     from wavesim.metrics.next_steps import STOP_CAUSE
     from wavesim.reconstruction.layer_reconstruction import reconstruct_layers
+    from wavesim.runtime.checkpoint import drop_series
     from wavesim.sensor.frame_sets import read_frames
 
     lens = load_design(design)
     stop_from, stop_doubt, settings = with_calibrated_stop(calibration, settings)
-    run = Run(as_json, resumes=False)
+    run = Run(as_json, folder=output)
     with run.computing() as on_progress:
         found = reconstruct_layers(
             lens,
@@ -56,6 +57,7 @@ def in_layers(
         "warnings": run.messages,
     }
     summary = found.write(output, more)
+    drop_series(output)
     run.report(summary, partial(_print, output=output), found.verdict.explained)
 
 

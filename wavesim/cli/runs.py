@@ -15,17 +15,32 @@ from lensdesign.common.console import print_json, print_whole
 from lensdesign.common.progress import progress_count
 from lensdesign.common.text import known_text
 from wavesim.cli.options import print_warnings, warning_messages
+from wavesim.runtime.checkpoint import series_in
 
 if TYPE_CHECKING:
     from wavesim.runtime.memory import Memory
     from wavesim.sensor.recording import Progress
 
 
-class Run:
-    """A run of a command: progress and warnings while it computes; then its report and exit status."""
+CONTINUES = "interrupted; run the same command again to continue"
+LOST = "interrupted; nothing was written, and the same command starts from the beginning"
 
-    def __init__(self, as_json: bool, *, resumes: bool = True) -> None:
-        self.as_json, self.resumes = as_json, resumes
+
+class Run:
+    """A run of a command: progress and warnings while it computes; then its report and exit status.
+
+    Parameters
+    ----------
+    as_json
+        Whether the result is printed as JSON.
+    resumes
+        Whether an interrupted run continues; its interrupts say what was kept.
+    folder
+        Folder of the checkpoints of a run that continues if it has any (`CheckpointSeries`).
+    """
+
+    def __init__(self, as_json: bool, *, resumes: bool = True, folder: Path | None = None) -> None:
+        self.as_json, self.resumes, self.folder = as_json, resumes, folder
         self._caught: list[warnings.WarningMessage] = []
 
     @property
@@ -47,9 +62,15 @@ class Run:
     @contextmanager
     def computing(self) -> Iterator[Progress]:
         """Show the progress, collect warnings, and print them at the end; yield the callback of progress."""
-        with progress(resumes=self.resumes) as on_progress, self.warnings():
+        with progress(self._on_interrupt) as on_progress, self.warnings():
             yield on_progress
         print_warnings(self.messages)
+
+    def _on_interrupt(self) -> str:
+        """Return what an interrupt means for the run; empty where it says so itself."""
+        if self.folder is not None:
+            return CONTINUES if series_in(self.folder) else LOST
+        return "" if self.resumes else LOST
 
     def report(
         self, summary: dict[str, Any], show: Callable[[dict[str, Any]], None], is_met: bool = True
@@ -64,20 +85,19 @@ class Run:
 
 
 @contextmanager
-def progress(*, resumes: bool = True) -> Iterator[Progress]:
+def progress(on_interrupt: Callable[[], str] = str) -> Iterator[Progress]:
     """Show the progress, and yield the callback that library functions call.
 
-    An interrupt of a run that does not resume says that its work is lost.
+    An interrupt without a message gets that of `on_interrupt`, if it is not empty.
     """
     with progress_count("starting") as count:
         try:
             yield lambda stage, completed, total: count.update(completed, total or None, stage)
         except KeyboardInterrupt as stop:
-            if resumes or stop.args:
+            text = on_interrupt()
+            if stop.args or not text:
                 raise
-            raise KeyboardInterrupt(
-                "interrupted; nothing was written, and the same command starts from the beginning"
-            ) from None
+            raise KeyboardInterrupt(text) from None
 
 
 def print_table(

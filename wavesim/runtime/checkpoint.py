@@ -107,9 +107,14 @@ class CheckpointSeries:
         return Checkpoint(self._folder / f"{CHECKPOINT_PREFIX}{self._count}.npz", self._key)
 
 
+def series_in(folder: Path) -> list[Path]:
+    """Return the files of a series."""
+    return sorted(folder.glob(f"{CHECKPOINT_PREFIX}*.npz"))
+
+
 def drop_series(folder: Path) -> None:
     """Remove the files of a series, which a run needs no more."""
-    for path in folder.glob(f"{CHECKPOINT_PREFIX}*.npz"):
+    for path in series_in(folder):
         path.unlink(missing_ok=True)
 
 

@@ -11,6 +11,8 @@ from PIL import Image
 from programs import Command
 
 from lensdesign import load_design, save_design, scaled
+from wavesim.reconstruction import resumable
+from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.sensor.frames import read_frame
 
 
@@ -139,3 +141,33 @@ def test_frames_at_once_are_not_those_of_one_wavelength(wavesim: Command, twin: 
     )
     assert code == 2
     assert "has no object at 0.45 um" in err
+
+
+def test_an_interrupted_run_continues_and_leaves_no_checkpoint(
+    wavesim: Command, twin: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    taken = (*QUICK, *LIGHT, *PLANES, "--object", "tissue", "-o", tmp_path / "frames")
+    code, _, err = wavesim("image", twin, *taken)
+    assert code == 0, err
+    command = ("colours", twin, tmp_path / "frames", *QUICK, "--iterations", 6)
+    monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
+    code, _, err = wavesim(*command, "-o", tmp_path / "whole")
+    assert code in (0, 1), err
+    keep = Checkpoint.keep
+
+    def interrupted(self: Checkpoint, **data: object) -> None:
+        keep(self, **data)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Checkpoint, "keep", interrupted)
+    code, _, err = wavesim(*command, "-o", tmp_path / "out")
+    assert code == 130
+    assert "run the same command again to continue" in " ".join(err.split())
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["checkpoint_search_1.npz"]
+    monkeypatch.setattr(Checkpoint, "keep", keep)
+    code, _, err = wavesim(*command, "-o", tmp_path / "out")
+    assert code in (0, 1), err
+    found, expected = ({p.name: p for p in (tmp_path / name).iterdir()} for name in ("out", "whole"))
+    assert set(found) == set(expected)
+    for name in (one for one in found if one.endswith((".npz", ".csv"))):
+        assert found[name].read_bytes() == expected[name].read_bytes()
