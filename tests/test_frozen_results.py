@@ -220,12 +220,12 @@ CHAIN = {
 
 COLOURS = {
     "counts": 802058,
-    "misfit": 0.0770409010876,
-    "held out": 1.24335008483,
-    "correlation 1": 0.972055454677,
-    "correlation 2": 0.98181497357,
-    "misfit of a film": 0.0643725643397,
-    "deviation of heights": 0.013579932559,
+    "misfit": 0.0770443059648,
+    "held out": 1.2441828672,
+    "correlation 1": 0.971946090125,
+    "correlation 2": 0.981662242569,
+    "misfit of a film": 0.0643603985739,
+    "deviation of heights": 0.013559213785,
 }
 
 LAYERS = {
@@ -249,8 +249,8 @@ FREE_SPACE = {
 }
 
 KNOWN_OBJECT = {
-    "decenter_x_mm": 0.000998096729576,
-    "working_distance_mm": -3.85016090396e-05,
+    "decenter_x_mm": 0.00100296962517,
+    "working_distance_mm": 5.8451880501e-05,
 }
 
 
