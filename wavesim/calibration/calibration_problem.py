@@ -355,6 +355,7 @@ class _SearchRecord:
             slopes,
             tuple(saved["sought"].tolist()),
             bool(saved["is_repeated"]),
+            str(saved["ended_because"]),
         )
         return SearchState(
             current.unknowns,
@@ -389,6 +390,7 @@ class _SearchRecord:
             reference=point.reference.of(self._parameters),
             sought=point.sought,
             is_repeated=point.is_repeated,
+            ended_because=point.ended_because,
             **fits,
             values=[unknowns.of(self._parameters) for unknowns, _ in state.trail],
             misfits=[misfit for _, misfit in state.trail],

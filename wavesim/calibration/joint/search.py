@@ -147,6 +147,8 @@ class StagePoint(NamedTuple):
         Names of the parameters that the stage seeks.
     is_repeated : bool
         Whether the last stage is repeated about tiles of its own, because perturbed tiles have misled it.
+    ended_because : str
+        Reason for the end of the stage; empty while it continues, or if only the number of benches ends it.
     """
 
     reference: Unknowns
@@ -154,6 +156,7 @@ class StagePoint(NamedTuple):
     slopes: StoredFit
     sought: tuple[str, ...]
     is_repeated: bool
+    ended_because: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -724,25 +727,29 @@ class JointSearch:
         is_repeated: bool = False,
     ) -> _StageEnd:
         """Return the end of a stage, which continues at the state's point if there is one."""
-        point, parameters_sought, reason = state.point, parameters, "limit of benches reached"
+        point, parameters_sought, reason = state.point, parameters, ""
         about = current if point is None else self._restored_fit(point.slopes, reference)
         slopes = about.stored
         columns = self.pixels.columns(about.unknowns, about.linear, parameters, reference.ray_derivatives)
         del about
         if point is not None:
             parameters_sought = tuple(p for p in parameters if p.name in point.sought)
-            state = replace(state, point=None)
+            state, reason = replace(state, point=None), point.ended_because
         elif parameters == self.parameters:
             parameters_sought = self._determined_parameters(current, columns)
         # For each stage, the fraction of the squared misfit below which the gain of a step ends it.
         least_gains = 0.05, 0.02
         # Fraction of the squared misfit below which a step hardly changes the derivatives.
         linear_gain = 0.1
-        while len(state.trail) < self.most_benches:
+
+        def keep() -> None:
             if self.keep is not None:
                 names = tuple(p.name for p in parameters_sought)
-                point = StagePoint(reference.unknowns, current.stored, slopes, names, is_repeated)
-                self.keep(replace(state, unknowns=current.unknowns, point=point))
+                now = StagePoint(reference.unknowns, current.stored, slopes, names, is_repeated, reason)
+                self.keep(replace(state, unknowns=current.unknowns, point=now))
+
+        while not reason and len(state.trail) < self.most_benches:
+            keep()
             sought_columns = (
                 columns
                 if parameters_sought == parameters
@@ -770,7 +777,8 @@ class JointSearch:
                 columns = self.pixels.columns(
                     current.unknowns, current.linear, parameters, reference.ray_derivatives
                 )
-        return _StageEnd(state, current, columns, reason)
+        keep()
+        return _StageEnd(state, current, columns, reason or "limit of benches reached")
 
     def _is_free(
         self, current: _BenchFit, equations: GaussNewtonStep, parameters: Sequence[Parameter]

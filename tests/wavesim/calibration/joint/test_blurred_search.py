@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_twins import bars_under_stop
-from wavesim.forward.forward_model import ForwardModel
 
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.joint.blurred_search import BlurredResponse, blurred_search
@@ -16,6 +15,7 @@ from wavesim.calibration.joint.pixels import DensePixels
 from wavesim.calibration.joint.search import JointSearch, SearchState
 from wavesim.calibration.parameters import LensPose, Parameter, Unknowns, mounting_parameters
 from wavesim.engines.choosing import engine_for
+from wavesim.forward.channel_model import ChannelModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import SystemState
@@ -35,7 +35,7 @@ def pixels() -> DensePixels:
     """Frames of bars behind a small twin that is mounted with errors; their scale is not known."""
     scene, light, bars, _ = bars_under_stop()
     blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
-    model = ForwardModel(tiles(placed_scene(scene, TRUE)), placed_light(light, TRUE), blank, 1.0)
+    model = ChannelModel.of_source(tiles(placed_scene(scene, TRUE)), placed_light(light, TRUE), blank, 1.0)
     seen = [
         Measurement(plane.distance_mm, 3.0 * amplitude.astype(np.float32))
         for plane, amplitude in zip(blank, model.amplitudes(bars), strict=True)
