@@ -15,11 +15,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import resource
 import shlex
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,7 +25,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.bench_sets import GOLDEN, design_of, true_object
-from benchmarks.timing import Row, print_table
+from benchmarks.timing import Row, print_table, spent_by
 from lensdesign import load_design
 from wavesim.fields.files import write_field
 from wavesim.reconstruction.calibrated_bench import JUDGED_OBJECT
@@ -77,9 +74,9 @@ def _rows_of_command(words: list[str], older: Path, rounds: int) -> list[Row]:
     seconds: dict[str, list[float]] = {"older": [], "this": []}
     for _ in range(rounds):
         for version, root in (("older", older), ("this", ROOT)):
-            time_s, text = _spent(root, *words)
-            seconds[version].append(time_s)
-            print(f"{version}:", *text.splitlines()[-12:], sep="\n", flush=True)
+            spent = spent_by(words, root, root)
+            seconds[version].append(spent.seconds)
+            print(f"{version}:", *spent.text.splitlines()[-12:], sep="\n", flush=True)
     rows = [Row(version, median(times), "s") for version, times in seconds.items()]
     return [*rows, Row("ratio", median(seconds["this"]) / median(seconds["older"]), at_most=0.5)]
 
@@ -122,28 +119,9 @@ def _measured(folder: Path, root: Path, place: Path) -> Iterator[tuple[str, floa
 
 def _run(root: Path, *words: object) -> tuple[float, dict[str, Any]]:
     """Run `wavesim` of a version, and return its processor time and its result."""
-    spent, text = _spent(root, "wavesim", *words)
-    result: dict[str, Any] = json.loads(text)
-    return spent, result
-
-
-def _spent(root: Path, package: str, *words: object) -> tuple[float, str]:
-    """Run the command of a package of a version, and return its processor time and what it prints."""
-    environment = os.environ | {"PYTHONPATH": str(root)}
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(
-        [sys.executable, "-c", f"from {package}.cli import main; main()", *map(str, words)],
-        cwd=root,
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode not in (0, 1):
-        raise RuntimeError(
-            f"{' '.join(map(str, words))}: exit status {done.returncode}\n{done.stderr[-2000:]}"
-        )
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stdout
+    spent = spent_by(["wavesim", *map(str, words)], root, root)
+    result: dict[str, Any] = json.loads(spent.text)
+    return spent.seconds, result
 
 
 if __name__ == "__main__":

@@ -8,16 +8,13 @@ Each is run as a user types it, in a folder of its own with the designs, after t
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import shutil
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.timing import DESIGNS, Row, print_table
+from benchmarks.timing import DESIGNS, Row, Spent, print_table, spent_by
 
 LENS = "designs/paper_singlet.toml"
 FIELD = "--object-pitch-um 0.3875 --engine hierarchical"
@@ -79,14 +76,6 @@ COMMANDS = {
 }
 
 
-class Measured(NamedTuple):
-    """Processor time in s, largest memory in GB, and exit status of a command."""
-
-    seconds: float
-    gigabytes: float
-    status: int
-
-
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.long_commands")
@@ -97,7 +86,7 @@ def main() -> None:
         parser.error(f"{unknown[0]}: must be one of {', '.join(COMMANDS)}")
     with tempfile.TemporaryDirectory() as folder:
         shutil.copytree(DESIGNS, Path(folder) / "designs")
-        done: dict[str, Measured] = {}
+        done: dict[str, Spent] = {}
         for name in [name for name in COMMANDS if not names or name in names]:
             measured = _measured(name, Path(folder), done)
             rows = [
@@ -109,31 +98,13 @@ def main() -> None:
             print(COMMANDS[name].text, flush=True)
 
 
-def _measured(name: str, folder: Path, done: dict[str, Measured]) -> Measured:
+def _measured(name: str, folder: Path, done: dict[str, Spent]) -> Spent:
     """Return what a command takes, which runs once, after those that make its input."""
     if name not in done:
         if COMMANDS[name].after:
             _measured(COMMANDS[name].after, folder, done)
-        done[name] = _run(name, folder)
+        done[name] = spent_by(shlex.split(COMMANDS[name].text), DESIGNS.parent, folder)
     return done[name]
-
-
-def _run(name: str, folder: Path) -> Measured:
-    """Run a command as a user types it."""
-    program, *words = shlex.split(COMMANDS[name].text)
-    path = Path(sys.executable)
-    start = [path] if program == "python" else [path, "-c", f"from {program}.cli import main; main()"]
-    environment = os.environ | {"PYTHONPATH": str(DESIGNS.parent)}
-    process = subprocess.Popen(
-        [*start, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    )
-    assert process.stderr is not None
-    message = process.stderr.read()[-2000:].decode()
-    _, ended, used = os.wait4(process.pid, 0)
-    status = process.returncode = os.waitstatus_to_exitcode(ended)
-    if status not in (0, 1):
-        raise RuntimeError(f"{name}: exit status {status}\n{message}")
-    return Measured(used.ru_utime + used.ru_stime, 1e-6 * used.ru_maxrss, status)
 
 
 if __name__ == "__main__":

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 DESIGNS = Path(__file__).resolve().parents[1] / "designs"
 
@@ -52,6 +56,42 @@ def interleaved(work: Mapping[str, Callable[[], object]], rounds: int, runs: int
                 wall[name].append(time.perf_counter() - wall_start)
                 cpu[name].append(time.process_time() - cpu_start)
     return {name: Timing(tuple(wall[name]), tuple(cpu[name])) for name in work}
+
+
+class Spent(NamedTuple):
+    """Processor time in s of a command, its largest memory in GB, its exit status, and what it prints."""
+
+    seconds: float
+    gigabytes: float
+    status: int
+    text: str
+
+
+def spent_by(words: list[str], root: Path, folder: Path) -> Spent:
+    """Run a command of the version in `root` in a folder, as a user types it, and return what it takes.
+
+    Raises
+    ------
+    RuntimeError
+        If it ends with another status than 0 or 1.
+    """
+    program, *arguments = words
+    start = [] if program == "python" else ["-c", f"from {program}.cli import main; main()"]
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        process = subprocess.Popen(
+            [sys.executable, *start, *arguments],
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": str(root)},
+            stdout=out,
+            stderr=err,
+        )
+        _, ended, used = os.wait4(process.pid, 0)
+        status = process.returncode = os.waitstatus_to_exitcode(ended)
+        out.seek(0)
+        err.seek(0)
+        if status not in (0, 1):
+            raise RuntimeError(f"{' '.join(words)}: exit status {status}\n{err.read()[-2000:].decode()}")
+        return Spent(used.ru_utime + used.ru_stime, 1e-6 * used.ru_maxrss, status, out.read().decode())
 
 
 @dataclass(frozen=True)
