@@ -296,7 +296,7 @@ class Calibrated(WritableResult):
     def _write_files(self, folder: Path, summary: Mapping[str, Any]) -> None:
         save(self.plot(), folder / "calibration.png")
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def table(self) -> list[tuple[str, str]]:
         noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"
         rows = [(name, f"{value:.5g}") for name, value in zip(self.parameters, self.values, strict=True)]
         rows.append(("misfit", f"{self.misfit:.4g}, before {self.misfit_before:.4g}{noise}"))

@@ -308,7 +308,7 @@ class FreeSpaceField(WritableResult):
     def _picture(self) -> NDArray[Any]:
         return self.field.values
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def table(self) -> list[tuple[str, str]]:
         rows, columns = self.field.grid.shape
         return [
             ("samples", f"{rows} x {columns} of {1e3 * self.field.grid.pitch_mm:.4g} µm"),

@@ -361,7 +361,7 @@ class Plans(Result):
         reaching = [plan for plan in self.plans if plan.expected >= self.settings.correlation]
         return reaching[0] if reaching else max(self.plans, key=lambda plan: plan.expected)
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def table(self) -> list[tuple[str, str]]:
         best = self.recommended
         planes = ", ".join(f"{z:.4g}" for z in best.planes_mm)
         expected = f"{best.correlation:.4f} to {best.highest_correlation:.4f}"

@@ -243,7 +243,7 @@ class FoundColours(WritableResult):
         """Return the samples of a region."""
         return _samples_of(self.patch, region_mm, "region_mm")
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def table(self) -> list[tuple[str, str]]:
         rows = [
             ("wavelengths", ", ".join(f"{one:g}" for one in self.wavelengths_um) + " µm"),
             ("planes", str(len(self.planes))),

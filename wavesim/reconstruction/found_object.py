@@ -246,7 +246,7 @@ class FoundObject(WritableResult):
     def _picture(self) -> NDArray[Any]:
         return self.transmission.values
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def table(self) -> list[tuple[str, str]]:
         settings, (rows, columns) = self.settings, self.transmission.grid.shape
         curve_name = "correlation A6" if settings.method == "paper" else "misfit"
         lines = [

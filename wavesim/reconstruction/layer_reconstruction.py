@@ -211,7 +211,7 @@ class FoundLayers(WritableResult):
         rows = [{"iteration": step, "misfit": value} for step, value in enumerate(self.curve, 1)]
         write_csv(rows, folder / "convergence.csv")
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def table(self) -> list[tuple[str, str]]:
         rows = [
             ("layers", ", ".join(f"{one:g} µm" for one in self.layers_um)),
             ("ratio", f"{self.oversampling.ratio:.3g} measurements for each unknown"),

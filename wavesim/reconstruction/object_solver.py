@@ -105,7 +105,7 @@ class Reconstructed(Result):
     def _picture(self) -> NDArray[Any]:
         return np.atleast_2d(self.transmission.values)
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def table(self) -> list[tuple[str, str]]:
         grid, why = self.transmission.grid, STOPPED[self.stopped_because]
         return [
             ("samples", f"{' x '.join(map(str, grid.shape))} of {1e3 * grid.pitch_mm:.4g} µm"),

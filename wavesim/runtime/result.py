@@ -14,18 +14,14 @@ from wavesim.runtime.result_files import new_results, write_json
 
 
 class Result(ABC):
-    """Base of results: each one states its rows, and has its representations from them."""
+    """Base of results: each one states its table, and has its representations from it."""
 
     heading: ClassVar[str]
     """Title of the table in a notebook."""
 
+    @abstractmethod
     def table(self) -> list[tuple[str, str]]:
         """Return name and value of the most important properties of the result, as text."""
-        return self._rows()
-
-    @abstractmethod
-    def _rows(self) -> list[tuple[str, str]]:
-        """Return name and value of each row."""
 
     def _picture(self) -> NDArray[Any] | None:
         """Return the values that a notebook shows below the table, if any."""

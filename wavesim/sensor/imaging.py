@@ -129,7 +129,7 @@ class Imaged(Result):
         """Sensor window that records."""
         return self.recording.sensor
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def table(self) -> list[tuple[str, str]]:
         across, down = self.sensor.pixels
         planes = ", ".join(f"{z:g}" for z in self.recording.plane_distances_mm)
         return [
