@@ -429,13 +429,13 @@ def test_log_is_written_ahead_and_put_away(path):
 def left_behind(path, first, count):
     """Add trials in a process that ends without closing the store, leaving its log."""
     code = (
-        "import os, sys; sys.path.insert(0, sys.argv[1]); import pathlib\n"
+        "import os, pathlib, sys\n"
         "from test_store import some_trials\nfrom tolerancing.store.store import open_store\n"
-        "store = open_store(pathlib.Path(sys.argv[2])); store.start_writing()\n"
-        "store.add(some_trials(int(sys.argv[3]), int(sys.argv[4]))); os._exit(0)\n"
+        "store = open_store(pathlib.Path(sys.argv[1])); store.start_writing()\n"
+        "store.add(some_trials(int(sys.argv[2]), int(sys.argv[3]))); os._exit(0)\n"
     )
-    folder = os.path.dirname(__file__)
-    subprocess.run([sys.executable, "-c", code, folder, path, str(first), str(count)], check=True)
+    imported = os.environ | {"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}
+    subprocess.run([sys.executable, "-c", code, path, str(first), str(count)], env=imported, check=True)
     assert path.with_name(f"{path.name}-wal").stat().st_size > 0
 
 

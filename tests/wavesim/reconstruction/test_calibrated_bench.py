@@ -181,5 +181,8 @@ def test_a_judged_complex_object_is_compared_as_one_that_is_found(frames: tuple[
     )
     again = reconstruct_frames(LENS, frames, settings, **given)
     assert again.of_method.pop("found_by") == "calibration"
-    assert again.as_dict() == found.as_dict()
+    summaries = [one.as_dict() for one in (again, found)]
+    for summary in summaries:
+        summary["memory"].pop("limit_bytes")  # it depends on what is free at the moment
+    assert summaries[0] == summaries[1]
     assert "correlation_without_low_orders" in again.truth
