@@ -476,7 +476,8 @@ def _searched(
     validate_same_frames(empty, frames)
     lens, settings, priors = problem.lens, problem.settings, problem.priors
     measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=progress)
-    remaining = tuple(p for p in problem.parameters(light_order=0) if p in measured.sought)
+    requested = problem.parameters(light_order=LIGHT_ORDER_ALONE)
+    remaining = tuple(p for p in requested if p.group != "light" and p in measured.sought)
     if not remaining:
         return measured
     start = start.changed(measured.sought, list((measured.applied or {}).values()))

@@ -107,6 +107,17 @@ def test_their_light_holds_while_the_rest_is_sought(
     assert light.tilt_deg == pytest.approx((0.5, -0.3), rel=0.05)
 
 
+def test_empty_frames_suffice_for_the_light_alone(
+    lens: Lens, empty: tuple[Frame, ...], star: tuple[Frame, ...]
+) -> None:
+    """The group of the light may be requested for frames of an object, too, alone or with others."""
+    quick: dict[str, Any] = {"most_mountings": 2, "verdict": "none", "kind": "amplitude"}
+    alone = calibrate_frames(lens, star, SETTINGS, empty=empty, parameters="light", **quick)
+    both = calibrate_frames(lens, star, SETTINGS, empty=empty, parameters="light,decenter_x_mm", **quick)
+    assert {parameter.group for parameter in alone.sought} == {"light"}
+    assert set(both.parameters) == {*alone.parameters, "decenter_x_mm"}
+
+
 def test_frames_that_saw_an_object_are_refused(lens: Lens, star: tuple[Frame, ...]) -> None:
     with pytest.raises(InputError, match=r"empty: .*\d+\.\d times the noise"):
         calibrate_empty(lens, star, SETTINGS, most_mountings=10)
