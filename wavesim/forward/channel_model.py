@@ -145,6 +145,8 @@ class ChannelModel:
     peak_powers, passes : tuple of float
         For each transmission, the largest power of its light, and the sum over planes and channels of the
         largest response (1 if no plane has recorded it).
+    channel_passes : tuple of float
+        The same sum for each channel.
     size : float
         Weighted length of the measured amplitudes.
     """
@@ -162,6 +164,7 @@ class ChannelModel:
     lit: NDArray[np.bool_]
     peak_powers: tuple[float, ...]
     passes: tuple[float, ...]
+    channel_passes: tuple[float, ...]
     size: float
 
     @classmethod
@@ -198,9 +201,13 @@ class ChannelModel:
         grid, dtype = engine.scene.exit_grid, illumination.values.dtype
         real = np.dtype(dtype.type(0).real.dtype)
         blur_pixels = blur_mm / grid.pitch_mm
-        is_single = len(channels) == 1
+        channel_passes = tuple(sum(float(np.max(r)) for r in one.responses) or 1.0 for one in channels)
+        channels = [
+            one._replace(responses=[np.asarray(response, real) for response in one.responses])
+            for one in channels
+        ]
         means = PixelMeans if len(grid.shape) == 2 else LinePixelMeans
-        needs_means = fill_factor > 0.0 or blur_pixels > 0.0 or not is_single
+        needs_means = fill_factor > 0.0 or blur_pixels > 0.0 or len(channels) > 1
         of_wavelengths: dict[float, tuple[PlanePropagator, ...]] = {}
         for wavelength_um in {one.wavelength_um: None for one in channels}:
             of_wavelengths[wavelength_um] = tuple(
@@ -209,7 +216,7 @@ class ChannelModel:
             )
         propagators = tuple(
             tuple(
-                one if is_single or np.any(response) else None
+                one if np.any(response) else None
                 for one, response in zip(
                     of_wavelengths[channel.wavelength_um], channel.responses, strict=True
                 )
@@ -217,8 +224,8 @@ class ChannelModel:
             for channel in channels
         )
         passes = [0.0] * len(lights)
-        for channel in channels:
-            passes[channel.transmission] += _passes(channel)
+        for channel, own in zip(channels, channel_passes, strict=True):
+            passes[channel.transmission] += own
         largest_sigma = full_weight_sigma(recorded)
         planes = tuple(
             PlaneRecord.of(
@@ -245,6 +252,7 @@ class ChannelModel:
             lit=lit[0] if len(lights) == 1 else np.stack(lit),
             peak_powers=peaks,
             passes=tuple(passes),
+            channel_passes=channel_passes,
             size=math.sqrt(sum(plane.energy for plane in planes)),
         )
 
@@ -406,12 +414,10 @@ class ChannelModel:
             scale = scale or self.scale
             misfits = [plane.change_pixels(r, scale) for plane, r in zip(self.planes, ratios, strict=True)]
             squared_misfit = squared_misfit if iteration else sum(misfits)
-            for index, (channel, spectrum, total) in enumerate(
-                zip(self.channels, spectra, totals, strict=True)
-            ):
+            for index, (spectrum, total) in enumerate(zip(spectra, totals, strict=True)):
                 change = np.zeros_like(spectrum)
                 self.add_adjoint(index, spectrum, ratios, change, kept)
-                add_fraction(spectrum, change, length / _passes(channel))
+                add_fraction(spectrum, change, length / self.channel_passes[index])
                 total += change
         del spectra
         change = self.to_transmission(totals)
@@ -422,7 +428,7 @@ class ChannelModel:
         """Return the spectrum of each channel's field on the exit grid."""
         return [
             scipy.fft.fftn(
-                self._at_exit(transmission[one.transmission] if len(self.passes) > 1 else transmission, one),
+                self._at_exit(self._part(transmission, one), one),
                 workers=-1,
                 overwrite_x=True,
             ).astype(self.dtype, copy=False)
@@ -444,7 +450,7 @@ class ChannelModel:
             propagator = self.propagators[index][plane]
             if propagator is not None:
                 rows = self.pixels.propagate(spectrum, propagator, rows)
-                total += self._response(channel, plane) * self.pixels.intensity(rows)
+                total += channel.responses[plane] * self.pixels.intensity(rows)
                 if kept is not None:
                     kept[index], rows = rows, None
         return total
@@ -466,21 +472,20 @@ class ChannelModel:
             own = kept[plane].pop(index, None) if kept else None
             if own is None:
                 own = rows = self.pixels.propagate(spectrum, propagator, rows)
-            self.pixels.add_adjoint(
-                own, self._response(self.channels[index], plane) * ratio, propagator, change
-            )
+            self.pixels.add_adjoint(own, self.channels[index].responses[plane] * ratio, propagator, change)
 
     def to_transmission(self, spectra: list[ComplexArray]) -> ComplexArray:
         """Return the change of the transmission due to changes of the spectra, which are given up."""
         result = np.zeros(self.lit.shape, self.dtype)
         for channel in self.channels:
             exit_field = scipy.fft.ifftn(spectra.pop(0), workers=-1, overwrite_x=True)
-            total = result[channel.transmission] if len(self.passes) > 1 else result
-            total += self._adjoint_to_object(exit_field, channel)
+            part = self._part(result, channel)
+            part += self._adjoint_to_object(exit_field, channel)
         return result
 
-    def _response(self, channel: Channel, plane: int) -> RealArray:
-        return np.asarray(channel.responses[plane], self.real)
+    def _part(self, values: NDArray[Any], channel: Channel) -> NDArray[Any]:
+        """Return the transmission that a channel passes, as a view of all transmissions."""
+        return values[channel.transmission] if len(self.passes) > 1 else values
 
     def _at_exit(self, transmission: NDArray[Any], channel: Channel) -> ComplexArray:
         """Return the field of a channel on the exit grid."""
@@ -508,11 +513,6 @@ def _lit(illumination: Field) -> tuple[NDArray[np.bool_], float]:
     power *= power
     peak = float(power.max())
     return power > 1e-6 * peak, peak
-
-
-def _passes(channel: Channel) -> float:
-    """Return the sum over the planes of the largest response to a channel; 1 if no plane has recorded it."""
-    return sum(float(np.max(response)) for response in channel.responses) or 1.0
 
 
 def _engines(
