@@ -269,15 +269,6 @@ class _ReferenceTiles(NamedTuple):
         return self.model.engine
 
 
-class _StageEnd(NamedTuple):
-    """State at the end of a stage, and the derivatives there (or one small step before)."""
-
-    state: SearchState
-    current: _BenchFit
-    columns: RealArray
-    reason: str
-
-
 @dataclass(frozen=True, eq=False)
 class JointSearch:
     """Search for parameters of a bench together with the object.
@@ -359,20 +350,18 @@ class JointSearch:
                     state, current, reference, first_parameters or self.parameters
                 )[:2]
             state = replace(state, stage=1, stretch=FIRST_STRETCH[1])
-        stage_end = self._descend(state, current, reference, self.parameters, is_repeated=is_repeated)
-        verified = self._verified(stage_end.current)
-        if (
-            not is_repeated
-            and self._is_misled(stage_end.current, verified)
-            and len(stage_end.state.trail) < self.most_benches
-        ):
-            current = self._fit_bench(stage_end.current.unknowns, verified.engine)
-            state = self._with_trial(stage_end.state, current.unknowns, current.misfit)
+        state, current, reason = self._descend(
+            state, current, reference, self.parameters, is_repeated=is_repeated
+        )
+        verified = self._verified(current)
+        if not is_repeated and self._is_misled(current, verified) and len(state.trail) < self.most_benches:
+            current = self._fit_bench(current.unknowns, verified.engine)
+            state = self._with_trial(state, current.unknowns, current.misfit)
             reference = self._reference_tiles(current)
-            stage_end = self._descend(state, current, reference, self.parameters, is_repeated=True)
-            verified = self._verified(stage_end.current)
-        current, state, reason = stage_end.current, stage_end.state, stage_end.reason
-        del stage_end  # its columns are large
+            state, current, reason = self._descend(
+                state, current, reference, self.parameters, is_repeated=True
+            )
+            verified = self._verified(current)
         if self._is_unsettled(current, verified) and len(state.trail) < self.most_benches:
             iterations = min(2 * self.iterations, MOST_ITERATIONS)
             del current, verified, reference  # the next search makes its own engines and derivatives
@@ -725,8 +714,11 @@ class JointSearch:
         parameters: tuple[Parameter, ...],
         *,
         is_repeated: bool = False,
-    ) -> _StageEnd:
-        """Return the end of a stage, which continues at the state's point if there is one."""
+    ) -> tuple[SearchState, _BenchFit, str]:
+        """Return state and bench at the end of a stage, and the reason for its end.
+
+        The stage continues at the state's point, if there is one.
+        """
         point, parameters_sought, reason = state.point, parameters, ""
         about = current if point is None else self._restored_fit(point.slopes, reference)
         slopes = about.stored
@@ -778,7 +770,7 @@ class JointSearch:
                     current.unknowns, current.linear, parameters, reference.ray_derivatives
                 )
         keep()
-        return _StageEnd(state, current, columns, reason or "limit of benches reached")
+        return state, current, reason or "limit of benches reached"
 
     def _is_free(
         self, current: _BenchFit, equations: GaussNewtonStep, parameters: Sequence[Parameter]
