@@ -532,7 +532,7 @@ def _replaced(whole: Any, path: tuple[Any, ...], value: Any) -> Any:
 
 
 def _as_designed(path: tuple[Any, ...]) -> Any:
-    """Return what is left out of a state where nothing deviates: a number, a pair, or what a surface has."""
+    """Return the value of a state's part that is as designed: a number, a pair, or a change of a surface."""
     if not path:
         return 0.0
     return SurfacePerturbation() if isinstance(path[0], str) else (0.0, 0.0)
